@@ -4,9 +4,8 @@ import signal
 
 import device
 import pytest
+from support import app
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
 
 
 def pytest_collection_modifyitems(items):

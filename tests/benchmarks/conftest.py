@@ -2,8 +2,7 @@
 
 import device
 import pytest
-
-from kc2spice.scene.load import load_scene
+from support import load_scene
 
 
 @pytest.fixture(scope="session")

@@ -5,10 +5,10 @@ import math
 
 import pytest
 from commands import python
+from support import UsageError
 
 from bench.__main__ import PARTS
 from bench.__main__ import bench as bench_of
-from kc2spice.core.errors import UsageError
 
 pytestmark = pytest.mark.slow  # other programs, every scene
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from support import make_deck, run_deck
 
 from bench.distance import compare
 from bench.law import law
 from bench.located import located
 from bench.lower_bound import LowerBound
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import device
 import pytest
-
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.decks import make_deck
+from support import load_scene, make_deck
 
 ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "kc2spice-clients"

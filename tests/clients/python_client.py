@@ -3,8 +3,7 @@
 import runpy
 import sys
 
-from kc2spice.netlist.deck import Deck
-from kc2spice.sim.shared import run_shared
+from support import Deck, run_shared
 
 RC = """* rc
 V1 a 0 PULSE(0 1 0 1n 1n 1 2)

@@ -8,12 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from kc2spice.netlist.translate import write_symbol_files
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import list_gallery
-from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.output import read_raw
+from support import list_gallery, load_scene, read_raw, write_files, write_symbol_files
 
 # KiCad writes instances in an order of its own, in which sums are rounded otherwise: so may another
 # processor. These scenes have many switching instants that follow from their state; what rounding

@@ -1,9 +1,7 @@
 """A newer ngspice than the system's gives the same kick."""
 
 import pytest
-
-from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.output import read_raw
+from support import read_raw, write_files
 
 
 def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):

@@ -4,12 +4,7 @@ import re
 
 import numpy as np
 import pytest
-
-from kc2spice.netlist.translate import write_dialect_files
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import list_gallery
-from kc2spice.sim.ngspice import write_files
-from kc2spice.sim.output import read_raw
+from support import list_gallery, load_scene, read_raw, write_dialect_files, write_files
 
 QUICK = ("buzzer_7bb_20_6", "sphere_on_beam")
 SCENES = [

@@ -6,12 +6,9 @@ import re
 import numpy as np
 import pytest
 from scipy import sparse
+from support import LinearModel, app, explain_instability
+from support import reduce_files as workflow
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
-from kc2spice.rom.instability import explain_instability
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.workflow import reduce_files as workflow
 
 
 def chain(n):

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lsim
-
-from kc2spice.netlist.printers.verilog_a import print_module
+from support import print_module
 
 CLIENT = Path(__file__).parent / "vajax_client.py"
 STEP, STOP, VOLTS = 10e-9, 40e-6, 100.0

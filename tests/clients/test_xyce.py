@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.netlist.translate import translate_deck
-from kc2spice.sim.ngspice import run_deck, write_files
-from kc2spice.sim.output import read_raw
+from support import read_raw, run_deck, translate_deck, write_files
 
 
 @pytest.mark.parametrize("name", ["impact", "kick_and_catch"])

@@ -13,12 +13,9 @@ import published_table
 import pytest
 from commands import asked
 from docs_numbers import different_lines
+from support import Build, find_axes, load_scene, run_scene
 
 import kc2spice as kc
-from kc2spice.scene.axes import find_axes
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.workflow.run import run_scene
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))

@@ -3,11 +3,9 @@
 import re
 
 import pytest
+from support import deck_dialects, dialect_names, list_gallery, translate_deck, write_dialect_files
 
 import kc2spice as kc
-from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
-from kc2spice.netlist.translate import translate_deck, write_dialect_files
-from kc2spice.scene.scene_file import list_gallery
 
 QUICK = (
     "buzzer_square",

@@ -9,15 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-
-from kc2spice.core.progress import Clock
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.library import read_lib
-from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import list_gallery
-from kc2spice.sim.ngspice import run_deck
+from support import (
+    Clock,
+    Deck,
+    LinearBody,
+    list_gallery,
+    literal_value,
+    load_scene,
+    read_lib,
+    run_deck,
+)
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 TOOL = runpy.run_path(str(NETLISTS.parent / "tools" / "netlists.py"))

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 from commands import python
-
-from kc2spice.rom.reductors import registry
+from support import registry
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "own_reductor.md").read_text(encoding="utf-8")

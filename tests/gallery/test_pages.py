@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import asked
-
-from kc2spice.core.figure import Curve, Figure, Map, Panel
-from kc2spice.report.html import PageSection, write_page
+from support import Curve, Figure, Map, PageSection, Panel, write_page
 
 # A response, a sweep there and back, noise, an impact, a waveform of many cycles.
 RUNS = {

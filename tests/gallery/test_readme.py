@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 from commands import asked, python
+from support import format_quantity
 
 from bench.page import bench_tables
-from kc2spice.core.prefix import format_quantity
 
 ROOT = Path(__file__).parents[2]
 RESULTS = (ROOT / "docs" / "evidence" / "results.md").read_text(encoding="utf-8")

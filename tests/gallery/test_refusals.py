@@ -1,13 +1,10 @@
 """Refusal of meaningless input before a run, by name."""
 
 import pytest
+from support import SimulationError, UsageError, app, ngspice, quantity
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.quantities import quantity
-from kc2spice.sim import ngspice
 
 RC = {
     "name": "rc", "analysis": {"stop": 1e-3}, "solver": {"max_step": 1e-5},

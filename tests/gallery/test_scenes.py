@@ -7,9 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 from commands import asked
-
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import list_gallery
+from support import list_gallery, load_scene
 
 CONTRACT = {
     "scene", "version", "netlist", "simulator", "model", "steps", "metrics", "wall_s", "files",

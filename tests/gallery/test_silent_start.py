@@ -5,11 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-
-from kc2spice.netlist.deck import Deck
-from kc2spice.scene.scene_file import list_gallery
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.output import classify_log
+from support import Deck, classify_log, list_gallery, run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps

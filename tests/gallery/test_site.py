@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import list_gallery, load_part_types
 
 import kc2spice as kc
-from kc2spice.scene.parttype import load_part_types
-from kc2spice.scene.scene_file import list_gallery
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,9 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
+from support import UsageError
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
 
 BODY = {
     "name": "own",

@@ -11,13 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from support import MESH_ERROR_PREFIX, Chip, bimorph, device, disc, langevin, make_stack
 from test_body import write
-
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
-from kc2spice.parts.bodies import bimorph, disc, langevin
-from kc2spice.parts.bodies.body import device
 
 SEED = 20261127
 SMALL = 1e-3  # errors of a thousandth and less are no reason to refine: both must be

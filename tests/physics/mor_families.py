@@ -3,10 +3,9 @@
 import numpy as np
 import oracle
 from scipy import sparse
+from support import Deck, run_deck
 
 from bench.beam import hermite_beam
-from kc2spice.netlist.deck import Deck
-from kc2spice.sim.ngspice import run_deck
 
 
 def beam(elements=40):

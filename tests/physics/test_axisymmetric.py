@@ -9,13 +9,16 @@ from closed_forms import rod_resonance
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
-
-from kc2spice.bodies.device import Block, BondedBlocks
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import compute_node_shares
-from kc2spice.parts.bodies import disc, langevin
+from support import (
+    Block,
+    BondedBlocks,
+    Damping,
+    UsageError,
+    compute_node_shares,
+    disc,
+    langevin,
+    material,
+)
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 PZT = material("PZT-5A")

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
-
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.materials import material
-from kc2spice.parts.bodies.bimorph import BimorphKeys, bimorph_body
+from support import BimorphKeys, UsageError, bimorph_body, material
 
 PZT = material("PZT-5A")
 

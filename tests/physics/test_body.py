@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.sparse.linalg import eigsh
-
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.materials import material
-from kc2spice.parts.bodies import bimorph, disc
-from kc2spice.parts.bodies.body import BodyKeys, device
+from support import BodyKeys, UsageError, bimorph, device, disc, material
 
 
 def write(path, draw, *, size, order=2, mesh=3):

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
-
-from kc2spice.core.magnets import EMTable
-from kc2spice.fem.magnet_field import compute_catch_table
-from kc2spice.fem.magnet_keys import Catch, Ring
+from support import Catch, EMTable, Ring, compute_catch_table
 
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.

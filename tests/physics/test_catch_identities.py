@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
-
-from kc2spice.fem import magnet_field as magmesh
-from kc2spice.fem.magnet_field import LOWER, SPHERE, assemble_field, compute_catch_table
-from kc2spice.fem.magnet_keys import Catch
+from support import LOWER, SPHERE, Catch, assemble_field, compute_catch_table
+from support import magnet_field as magmesh
 
 RADIUS = 1e-3
 

@@ -8,15 +8,9 @@ import oracle
 import pytest
 from mor_families import damped_chain
 from scipy import sparse
+from support import LinearModel, ResponsePod, Task, certify, disc, intermediate_model, reduce_model
 
 from bench.beam import hermite_beam
-from kc2spice.parts.bodies import disc
-from kc2spice.rom.certification import certify
-from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.reduced_basis import Task
-from kc2spice.rom.reductors.response_pod import ResponsePod
 
 
 def random_case(seed):

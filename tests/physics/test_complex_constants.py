@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from support import (
+    Certificate,
+    Clock,
+    ComplexConstants,
+    Port,
+    Resonators,
+    UsageError,
+    build_models,
+    complex_constants_model,
+    ignore_progress,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.rom.complex_constants import ComplexConstants, complex_constants_model
-from kc2spice.rom.linear_model import Certificate, Port
-from kc2spice.rom.modal import Resonators
-from kc2spice.workflow.models import build_models
 
 # A bar along x, poled and driven across its thickness, clamped at x = 0, with a force at its tip.
 LENGTH, WIDTH, THICKNESS, COUNT = 20e-3, 3e-3, 1e-3, 8

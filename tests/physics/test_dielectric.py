@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support import (
+    Clock,
+    MeasuredAdmittance,
+    UsageError,
+    ac_command,
+    build_models,
+    first_deck,
+    fit_foster_network,
+    ignore_progress,
+)
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import MeasuredAdmittance
-from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.netlist.deck import ac_command
-from kc2spice.rom.modal import fit_foster_network
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.reduce_files import first_deck
 
 BUZZER, TANGENT = "buzzer_7bb_20_3", 0.02
 

@@ -7,13 +7,18 @@ import skfem
 from drawn_meshes import drawn
 from scipy import linalg
 from skfem.mesh import MeshQuad, MeshTet, MeshTri
-
-from kc2spice.bodies.enriched_model import correct_responses, enrich_model
-from kc2spice.bodies.undamped import compute_undamped_responses
-from kc2spice.fem.enrichment import assemble_enrichment, evaluate_shape_functions, make_enrichment
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.parts.bodies import disc
+from support import (
+    Solid,
+    assemble_enrichment,
+    assemble_solid,
+    compute_undamped_responses,
+    correct_responses,
+    disc,
+    enrich_model,
+    evaluate_shape_functions,
+    make_enrichment,
+    material,
+)
 
 STEEL, PZT = material("steel"), material("PZT-5A").poled((0, 0, 1))
 

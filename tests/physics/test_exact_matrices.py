@@ -7,10 +7,9 @@ import numpy as np
 import oracle
 import pytest
 from scipy.linalg import eigh
+from support import LinearModel, reduce_model
 
 from bench.beam import steel_cantilever
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
 
 
 def eliminated(matrices, frequency):

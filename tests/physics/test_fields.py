@@ -6,27 +6,33 @@ import pytest
 from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
-
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
-from kc2spice.bodies.fields import (
+from support import (
+    OBLIQUE_SHIFT,
+    Chip,
+    Damping,
     FieldProbe,
+    ForceShape,
+    Port,
+    Setup,
+    Solid,
+    UsageError,
     compute_lowest_modes,
+    compute_node_shares,
+    disc,
+    draw_deformed,
+    draw_modes,
     evaluate_at_nodes,
     find_extremes,
+    langevin,
     largest_principal_stress,
+    load_scene,
+    make_device,
+    make_stack,
+    material,
     recover_motion,
+    spread_force,
     write_vtu,
 )
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, compute_node_shares
-from kc2spice.parts.bodies import disc, langevin
-from kc2spice.parts.bodies._pictures import OBLIQUE_SHIFT, draw_deformed, draw_modes
-from kc2spice.rom.linear_model import Port
-from kc2spice.scene.load import load_scene
 
 PZT = material("PZT-5A")
 SIZE = np.array([4e-3, 1e-3, 0.5e-3])

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import jv
+from support import MeasuredAdmittance, app, modal_transfer
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import MeasuredAdmittance
-from kc2spice.cli.main import app
-from kc2spice.rom.parametric import modal_transfer
 
 BAR = Path(__file__).parents[2] / "docs" / "examples" / "bar" / "bar.toml"
 TRANSDUCER = {

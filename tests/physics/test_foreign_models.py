@@ -7,11 +7,7 @@ import warnings
 import numpy as np
 import oracle
 import pytest
-
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.synthesis.realize import subcircuit
+from support import LinearModel, SimulationError, UsageError, reduce_model, subcircuit
 
 REASONS = "not that accurate", "no state-space form", "out of reach", "does not settle"
 

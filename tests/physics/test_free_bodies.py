@@ -11,13 +11,9 @@ import skfem
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from skfem.helpers import ddot, dot, eye, grad, sym_grad, trace
-
-from kc2spice.linalg import factor as factors
-from kc2spice.rom import pencil as pencils
-from kc2spice.rom import stability
-from kc2spice.rom.free_body import find_free_body
-from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, Port, find_free_body, reduce_model, stability, with_potentials
+from support import factor as factors
+from support import pencil as pencils
 
 BAND = (50e3, 400e3)
 BETA = 2 * 0.005 / (2 * np.pi * 200e3)  # s; a damping ratio of 0.5 % at 200 kHz

@@ -13,9 +13,7 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
 from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, reduce_model
 
 
 def chain(rng, damping, n=40):

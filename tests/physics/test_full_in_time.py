@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
-
-from kc2spice.core import laws
-from kc2spice.core.waveforms import constant_waveform, linear_waveform
-from kc2spice.parts.electronics.two_terminal_types import element
-from kc2spice.parts.mechanics.mass import point_mass
-from kc2spice.physics.law import DeclaredLaw
-from kc2spice.reference.equilibrium import solve_operating_point
-from kc2spice.reference.fixed_step import integrate_steps
-from kc2spice.reference.small_signal import solve_ac
-from kc2spice.reference.system import assemble_system
-from kc2spice.rom.linear_model import LinearModel, Port
+from support import (
+    DeclaredLaw,
+    LinearModel,
+    Port,
+    assemble_system,
+    constant_waveform,
+    element,
+    integrate_steps,
+    laws,
+    linear_waveform,
+    point_mass,
+    solve_ac,
+    solve_operating_point,
+)
 
 M, K, ZETA = 2e-6, 8e4, 0.02
 W = np.sqrt(K / M)

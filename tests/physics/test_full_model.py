@@ -5,16 +5,11 @@ import oracle
 import pytest
 from closed_forms import hertz
 from scipy import sparse
+from support import Chip, LinearModel, SimulationError, make_stack, make_surrogate, reduce_model
 
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.errors import SimulationError
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.surrogate import make_surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

@@ -8,9 +8,7 @@ import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import block_diag, null_space
-
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, reduce_model
 
 TOP = 0.35  # of the poles: where the band ends
 

@@ -17,25 +17,31 @@ import scipy
 from pydantic import Field
 from scipy.special import erfc
 from skfem.mesh import MeshHex, MeshLine, MeshQuad, MeshTri
-
-import kc2spice as kc
-from kc2spice.bodies.heat_field import recover_temperatures, write_temperatures
-from kc2spice.bodies.heat_model import HeatSetup, make_heat_model
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.heat_conduction import (
+from support import (
+    Declaration,
+    DeclaredPart,
+    HeatSetup,
     HeatSolid,
+    Port,
+    Solid,
+    UsageError,
     assemble_faces,
     assemble_heat,
+    branch,
+    compute_node_shares,
     find_common_faces,
     find_face_nodes,
     find_point_shares,
+    find_thermal_material,
+    load_thermal_library,
+    make_heat_model,
+    parttype,
+    recover_temperatures,
     split_nodes,
+    write_temperatures,
 )
-from kc2spice.fem.solid import Solid, compute_node_shares
-from kc2spice.fem.thermal_materials import find_thermal_material, load_thermal_library
-from kc2spice.physics import Declaration, DeclaredPart, branch
-from kc2spice.rom.linear_model import Port
-from kc2spice.scene import parttype
+
+import kc2spice as kc
 
 STEP = {"width": "1e9 s", "edge": "1e-5 s"}
 

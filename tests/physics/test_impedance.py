@@ -5,9 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-
-from kc2spice.bodies.impedance import analyse_impedance
-from kc2spice.core.errors import UsageError
+from support import UsageError, analyse_impedance
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 C0, R, L, C = 7.3e-9, 470.0, 0.59, 1.08e-9

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
+from support import Chip, choose_level_spans, make_stack
 
 from bench.usual.system import quarter
-from kc2spice.bodies.stack import choose_level_spans, make_stack
-from kc2spice.bodies.stack_keys import Chip
 
 # Rings wide enough for quadratic cells: strong grading would fold them.
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}

@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.rom.error_estimate import relative_error
-from kc2spice.rom.reduce import reduce_model
+from support import Chip, make_stack, reduce_model, relative_error
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 

@@ -3,21 +3,28 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-
-from kc2spice.core import laws as L
-from kc2spice.core.errors import SimulationError
-from kc2spice.core.quantities import Section
-from kc2spice.core.waveforms import linear_waveform, sine_waveform
-from kc2spice.parts.electronics.two_terminal_types import element
-from kc2spice.parts.mechanics.mass import point_mass
-from kc2spice.physics.contact import Normal, declare_contact
-from kc2spice.physics.declaration import Declaration, measured, voltage
-from kc2spice.physics.law import DeclaredLaw
-from kc2spice.reference.equilibrium import solve_operating_point
-from kc2spice.reference.integrate import Trajectory, solve_transient
-from kc2spice.reference.small_signal import solve_ac
-from kc2spice.reference.system import assemble_system
-from kc2spice.rom.linear_model import LinearModel, Port
+from support import (
+    Declaration,
+    DeclaredLaw,
+    LinearModel,
+    Normal,
+    Port,
+    Section,
+    SimulationError,
+    Trajectory,
+    assemble_system,
+    declare_contact,
+    element,
+    linear_waveform,
+    measured,
+    point_mass,
+    sine_waveform,
+    solve_ac,
+    solve_operating_point,
+    solve_transient,
+    voltage,
+)
+from support import laws as L
 
 
 def touching(name: str, stiffness: float) -> DeclaredLaw:

@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 import skfem
 from pydantic import ValidationError
-
-from kc2spice.bodies.fields import find_extremes, recover_motion
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.element_poling import find_parents
-from kc2spice.parts.bodies.body import BodyKeys, device
+from support import BodyKeys, UsageError, device, find_extremes, find_parents, recover_motion
 
 FR4 = {
     "density": 1900,

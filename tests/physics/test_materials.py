@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.constants import epsilon_0
-
-from kc2spice.core.errors import UsageError
-from kc2spice.fem import materials
-from kc2spice.fem.materials import material
+from support import UsageError, material, materials
 
 PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
 

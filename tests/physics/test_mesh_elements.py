@@ -5,13 +5,18 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
 from scipy.special import j1, jnp_zeros
-
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.materials import Material, material
-from kc2spice.fem.mesh_cells import CellBlock, make_quadratic_mesh, require_right_handed
-from kc2spice.fem.mesh_file import read_mesh
-from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.parts.bodies.body import device
+from support import (
+    CellBlock,
+    Material,
+    Solid,
+    UsageError,
+    assemble_solid,
+    device,
+    make_quadratic_mesh,
+    material,
+    read_mesh,
+    require_right_handed,
+)
 
 SIDES = (6.0, 2.0, 1.0)  # mm
 COUNTS = (6, 2, 2)

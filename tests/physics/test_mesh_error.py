@@ -6,21 +6,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn_meshes import box_groups, drawn, rows
+from support import (
+    Chip,
+    Clock,
+    Header,
+    Waveforms,
+    bimorph,
+    build_models,
+    compute_energy_products,
+    compute_undamped_responses,
+    describe_plan,
+    device,
+    disc,
+    langevin,
+    load_scene,
+    make_stack,
+    material,
+)
 from test_body import section, slabs, write
-
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.bodies.undamped import compute_undamped_responses
-from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.materials import material
-from kc2spice.fem.recovery import compute_energy_products
-from kc2spice.netlist.library import Header
-from kc2spice.parts.bodies import bimorph, disc, langevin
-from kc2spice.parts.bodies.body import device
-from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.models import build_models
 
 DATA = Path(__file__).parents[1] / "data"
 SMALL = 1e-3  # errors of a thousandth and less are no reason to refine: both must be

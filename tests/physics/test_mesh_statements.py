@@ -4,31 +4,37 @@ import tomllib
 
 import numpy as np
 import pytest
+from support import (
+    SPACING_NOTE,
+    TEST_CURRENTS,
+    Catch,
+    Clock,
+    Damping,
+    Header,
+    Ladder,
+    Ring,
+    TransverselyIsotropicSphere,
+    build_models,
+    choose_pressure_basis,
+    compare_rings,
+    compute_catch_table,
+    compute_test_forces,
+    count_compared_positions,
+    describe_plan,
+    export_rom,
+    load_part_types,
+    load_scene,
+    material,
+    mesh_errors,
+    model_sphere,
+    model_values,
+    moving_conductor,
+    read_rom,
+    sphere_compliance,
+    write_rom,
+)
 
 import kc2spice as kc
-from kc2spice.bodies.pressure import (
-    TransverselyIsotropicSphere,
-    choose_pressure_basis,
-    model_sphere,
-    sphere_compliance,
-)
-from kc2spice.core.magnets import TEST_CURRENTS, compute_test_forces
-from kc2spice.core.mesh_error import mesh_errors
-from kc2spice.core.progress import Clock
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
-from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.fem.magnet_rings import Ladder, compare_rings
-from kc2spice.fem.materials import material
-from kc2spice.netlist.library import Header
-from kc2spice.parts.magnetics import moving_conductor
-from kc2spice.physics.contact import SPACING_NOTE
-from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import load_part_types
-from kc2spice.workflow.models import build_models, model_values
-from kc2spice.workflow.reduce_files import export_rom
 
 UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
 

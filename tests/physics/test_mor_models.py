@@ -7,14 +7,15 @@ import numpy as np
 import oracle
 import pytest
 from scipy.linalg import eig
-
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.reduced_basis import Task
-from kc2spice.rom.reductors.response_pod import ResponsePod
-from kc2spice.synthesis.realize import subcircuit
+from support import (
+    LinearModel,
+    ResponsePod,
+    Task,
+    UsageError,
+    intermediate_model,
+    reduce_model,
+    subcircuit,
+)
 
 FAMILIES = {
     "beam": families.beam,

@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.bodies.stack import make_stack, make_stack_setup
-from kc2spice.bodies.stack_keys import Chip, ChipMesh
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
+from support import Chip, ChipMesh, UsageError, load_scene, make_stack, make_stack_setup
 
 MESH = ChipMesh(sectors=4, rings=2, outer_rings=4)
 

@@ -9,14 +9,20 @@ from closed_forms import MU_0, circles
 from scipy.integrate import quad, quad_vec, solve_ivp
 from scipy.linalg import eigh
 from scipy.special import j1, spherical_jn
+from support import (
+    MAX_RING_ERROR,
+    Clock,
+    DeclaredLaw,
+    UsageError,
+    Winding,
+    declare,
+    divide_section,
+    ignore_progress,
+    load_scene,
+    reduce_to_loops,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.fem.magnet_rings import Winding, divide_section, reduce_to_loops
-from kc2spice.parts.magnetics.moving_conductor import MAX_RING_ERROR, declare
-from kc2spice.physics.law import DeclaredLaw
-from kc2spice.scene.load import load_scene
 
 ALUMINIUM = 3.4e7
 

@@ -7,11 +7,9 @@ import pytest
 from closed_forms import MU_0, circles
 from scipy.integrate import quad, solve_ivp
 from scipy.special import j1
+from support import UsageError, Winding, current_loop, demagnetising_factor
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.magnet_rings import Winding, current_loop
-from kc2spice.parts.magnetics.moving_magnet import demagnetising_factor
 
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
 RADIUS, TALL, BR = 1.5e-3, 1.6e-3, 1.02

@@ -5,13 +5,9 @@ import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import eigvalsh
-
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.linalg import factor as factors
-from kc2spice.rom import pencil as pencils
-from kc2spice.rom.band import elastic_modes, natural_band
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.response import Response
+from support import LinearModel, Response, SimulationError, UsageError, elastic_modes, natural_band
+from support import factor as factors
+from support import pencil as pencils
 
 STIFFNESS, MASS = 4e6, 1e-6
 

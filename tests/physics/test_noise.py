@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
+from support import NOISE_WAVE, Waveforms, noise_analysis
 
 import kc2spice as kc
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.results import NOISE_WAVE
-from kc2spice.workflow import noise_analysis
 
 KT = 1.380649e-23 * 300.15  # J
 CIRCUIT = """

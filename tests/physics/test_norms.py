@@ -5,13 +5,11 @@ import json
 import numpy as np
 import oracle
 import pytest
+from support import LinearModel, app, reduce_model
 from typer.testing import CliRunner
 
 from bench.beam import heat, structure
 from bench.reduction_methods import Truncated, largest, schur
-from kc2spice.cli.main import app
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
 
 
 @pytest.mark.parametrize(

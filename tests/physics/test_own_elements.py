@@ -9,13 +9,12 @@ import own_elements
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
+from support import Chip, make_stack_setup
 
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
 from bench.usual.transient import Ball, transient
-from kc2spice.bodies.stack import make_stack_setup
-from kc2spice.bodies.stack_keys import Chip
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6
 CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})

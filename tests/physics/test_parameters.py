@@ -9,16 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import norm, qmc
+from support import (
+    Clock,
+    LinearModel,
+    ParameterAxis,
+    Port,
+    RangeTask,
+    SimulationError,
+    UsageError,
+    parametric_subcircuit,
+    reduce_over_parameters,
+    reduce_over_ranges,
+    with_values,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.progress import Clock
-from kc2spice.parts.bodies._box import with_values
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.parametric import ParameterAxis, reduce_over_parameters
-from kc2spice.rom.ranges import RangeTask
-from kc2spice.rom.varying import reduce_over_ranges
-from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
 MODULUS = "layers_0_material_youngs_modulus"

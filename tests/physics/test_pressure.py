@@ -10,23 +10,23 @@ from functools import cache
 import numpy as np
 import pytest
 from closed_forms import half_space, hertz
-
-from bench.usual.contact import sphere_gap
-from kc2spice.bodies.pressure import (
+from support import (
+    Build,
+    Chip,
+    Pair,
     PressureBasis,
+    Waveforms,
     choose_pressure_basis,
     compute_local_compliance,
     compute_surface_compliance,
     fit_indentation_law,
+    load_scene,
+    material,
     solve_contact_forces,
     stresses_under_force,
 )
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.materials import material
-from kc2spice.parts.mechanics._touching import Pair
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
+
+from bench.usual.contact import sphere_gap
 
 SPACING, COUNT, PATCH = 10e-6, 12, 250e-6
 NODES = SPACING * np.arange(COUNT + 1)

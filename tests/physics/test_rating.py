@@ -6,12 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
+from support import Build, Certificate, LinearModel, Port, Waveforms, load_scene, resolve_build
 
 ROOT = Path(__file__).parents[2]
 ONE = np.eye(1)
@@ -60,7 +55,7 @@ def test_the_rating_holds_in_every_analysis(scale):
 
 
 def test_the_head_states_the_rating():
-    from kc2spice.netlist.library import read_lib
+    from support import read_lib
 
     (part,) = read_lib(ROOT / "netlists" / "impact" / "impact_kick.lib")
     assert re.search(r"(?m)^\* rating: 121.2 V between electrodes", part.text)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
-
-from kc2spice.bodies.readers import read_model
+from support import read_model
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 # A folder with the files that tests/data/matrices/README.md lists as not shipped.

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
-
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, assemble_solid, compute_node_shares
-from kc2spice.rom.linear_model import Port
+from support import (
+    Damping,
+    ForceShape,
+    Port,
+    Setup,
+    Solid,
+    UsageError,
+    assemble_solid,
+    compute_node_shares,
+    make_device,
+    material,
+    spread_force,
+)
 
 STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
 # without lateral contraction, clamps do what beam theory says

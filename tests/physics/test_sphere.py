@@ -7,19 +7,18 @@ import pytest
 from closed_forms import half_space, hertz
 from scipy.optimize import brentq
 from scipy.special import spherical_jn
-
-from kc2spice.bodies.pressure import (
+from support import (
+    Damping,
     PressureBasis,
     TransverselyIsotropicSphere,
     choose_pressure_basis,
     fit_indentation_law,
+    material,
     model_sphere,
+    reduce_model,
+    resonators,
     sphere_compliance,
 )
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import material
-from kc2spice.rom.modal import resonators
-from kc2spice.rom.reduce import reduce_model
 
 R = 1e-3
 E, NU, DENSITY = 211.9e9, 0.291, 7860.0

@@ -4,16 +4,21 @@ import numpy as np
 import pytest
 from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
-
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import validate
-from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, compute_node_shares
-from kc2spice.rom.linear_model import Port
-from kc2spice.rom.reduce import reduce_model
+from support import (
+    Chip,
+    ForceShape,
+    Port,
+    Setup,
+    Solid,
+    UsageError,
+    compute_node_shares,
+    make_device,
+    make_stack,
+    material,
+    reduce_model,
+    spread_force,
+    validate,
+)
 
 PZT = material("PZT-5A")
 S33 = np.linalg.inv(PZT.C)[2, 2]

@@ -4,10 +4,7 @@ import numpy as np
 import oracle
 import pytest
 from scipy.linalg import block_diag
-
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import block_model, decouple_states
-from kc2spice.rom.linear_model import LinearModel
+from support import LinearModel, UsageError, block_model, decouple_states
 
 N = 6
 RNG = np.random.default_rng(5)

@@ -5,9 +5,7 @@ import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import block_diag, hadamard
-
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, Port, reduce_model
 
 
 def chain(n, stiffness):

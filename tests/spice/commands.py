@@ -7,9 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from support import app
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 EACH = """

@@ -2,18 +2,22 @@
 
 import device
 import pytest
-
-from kc2spice.netlist.library import Header
-from kc2spice.parts.control.pid import Control, pid_subcircuit
-from kc2spice.parts.electronics._template import opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
-from kc2spice.parts.mechanics._touching import ring_gaps
-from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, declare_contact
-from kc2spice.physics.part import declared_subcircuit as declared
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.realize import subcircuit
+from support import (
+    Control,
+    Header,
+    Normal,
+    SphereKeys,
+    coils_subcircuit,
+    declare_contact,
+    load_scene,
+    opamp_subcircuit,
+    pid_subcircuit,
+    rigid_sphere,
+    ring_gaps,
+    run_deck,
+    subcircuit,
+)
+from support import declared_subcircuit as declared
 
 LOOP = {
     "name": "loop", "kick": {"drive": {"voltage": 80.0}}, "contact": {"rings": "all"},

@@ -4,21 +4,25 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-
-from kc2spice.core.magnets import EMTable
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.netlist.deck import Deck
-from kc2spice.rom.linear_model import Certificate, Port
-from kc2spice.rom.modal import Resonators
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import list_checks
-from kc2spice.workflow.models import build_models, name_subcircuits
-from kc2spice.workflow.time_step import choose_largest_step
-from kc2spice.workflow.verify.law_solution import solve_laws
+from support import (
+    Build,
+    Certificate,
+    Clock,
+    Deck,
+    EMTable,
+    Port,
+    Resonators,
+    build_models,
+    choose_largest_step,
+    ignore_progress,
+    list_checks,
+    load_scene,
+    make_deck,
+    name_subcircuits,
+    resolve_build,
+    run_deck,
+    solve_laws,
+)
 
 RADII = 50e-6 * np.arange(6)
 

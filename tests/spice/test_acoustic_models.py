@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 import scipy
+from support import (
+    NodalCircuit,
+    dialect_names,
+    export_scene,
+    first_deck,
+    load_scene,
+    run_deck,
+    verify_scenes,
+)
 
 import kc2spice as kc
-from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.reduce_files import first_deck
-from kc2spice.workflow.verify.verify import verify_scenes
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C
 VOLUME, AREA, LENGTH = 1e-6, 2e-6, 3e-3  # m3 of a cavity, m2 and m of its neck

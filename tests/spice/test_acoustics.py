@@ -3,18 +3,24 @@
 import numpy as np
 import pytest
 from pydantic import Field
+from support import (
+    BOLTZMANN,
+    DEFAULT_TEMPERATURE,
+    DOMAINS,
+    Deck,
+    Declaration,
+    Element,
+    Header,
+    Ratio,
+    ac_command,
+    branch,
+    declared_subcircuit,
+    load_scene,
+    run_deck,
+    verify_scenes,
+)
 
 import kc2spice as kc
-from kc2spice.core.domains import DOMAINS
-from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Ratio
-from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.deck import Deck, ac_command
-from kc2spice.netlist.library import Header
-from kc2spice.physics import Declaration, branch
-from kc2spice.physics.part import declared_subcircuit
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.verify.verify import verify_scenes
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C
 VOLUME, AREA, LENGTH = 1e-6, 2e-6, 3e-3  # m3 of a buzzer's housing, m2 and m of its hole

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from support import SimulationError, list_alterations
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError
-from kc2spice.sim.output import list_alterations
 
 BRIDGE = """* bridge drawn in LTspice with its piecewise linear diodes
 .subckt rect p n plus minus

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 from device import deck_of
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.transforms import make_array_deck
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
+from support import UsageError, load_scene, make_array_deck, run_deck
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])

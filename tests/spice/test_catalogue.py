@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from support import find_part, read_catalogue, search_parts
 
 import kc2spice as kc
-from kc2spice.scene.catalogue import find_part, read_catalogue, search_parts
 
 PARTS = read_catalogue()
 REDUNDANT = sorted(number for number, part in PARTS.items() if part.redundant)

@@ -5,11 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 import scipy
+from support import UsageError, coils, find_resistance_coefficient
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.physics import coils
 
 COPPER = find_resistance_coefficient("copper")
 PATH = {

@@ -5,10 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from device import built
-
-from kc2spice.core.errors import SimulationError
-from kc2spice.scene.checks import require_passed
-from kc2spice.workflow.metrics import list_checks
+from support import SimulationError, list_checks, require_passed
 
 BALANCES = {"sphere", "contact", "kick"}
 ALL = {

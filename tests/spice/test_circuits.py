@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device import models
+from support import (
+    SimulationError,
+    UsageError,
+    compute_metrics,
+    load_scene,
+    make_deck,
+    mean_frequency,
+    require_valid_wiring,
+    simulate_deck,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import compute_metrics, mean_frequency
-from kc2spice.workflow.simulate import simulate_deck
 
 R, L, C = 50.0, 1e-3, 1e-6
 OMEGA, ZETA = 1 / np.sqrt(L * C), R / 2 * np.sqrt(C / L)

@@ -5,11 +5,7 @@ import pytest
 from device import both, models
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
+from support import UsageError, load_scene, make_deck, run_deck
 
 MASS = 4 / 3 * np.pi * 1e-9 * 7850.0
 

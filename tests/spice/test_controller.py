@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device import built
+from support import (
+    RetriesFailedError,
+    UsageError,
+    complete_run,
+    load_scene,
+    make_deck,
+    measure_again,
+    run_shared,
+    verify_scenes,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import RetriesFailedError
-from kc2spice.sim.shared import run_shared
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.refine import measure_again
-from kc2spice.workflow.run import complete_run
-from kc2spice.workflow.verify.verify import verify_scenes
 
 PERIOD, DELAY = 10e-6, 4e-6  # s
 

@@ -4,12 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
+from support import ERROR_BUDGET, Caller, Clock, mesh_errors, refine
 
 import kc2spice as kc
-from kc2spice.cli.tables import Caller
-from kc2spice.core.mesh_error import mesh_errors
-from kc2spice.core.progress import ERROR_BUDGET, Clock
-from kc2spice.workflow import refine
 
 # an RC low-pass
 LOWPASS = {

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from support import dialect_names
 
 import kc2spice as kc
-from kc2spice.netlist.printers.dialect_registry import dialect_names
 
 # Kicker 49ST9MR8, page kicker.com/app/tsparam/49ST9MR8.html; cms from its Kms of 18.65 N/mm.
 SHEET = {

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from support import dialect_names
 
 import kc2spice as kc
-from kc2spice.netlist.printers.dialect_registry import dialect_names
 
 # Ningbo Songle SRD-05VDC-SL-C: 70 Ohm, 75 % and 10 % of 5 V, 10 ms.
 SHEET = {"resistance": 70.0, "voltage": 5.0, "pick_up": 3.75, "release": 0.5}

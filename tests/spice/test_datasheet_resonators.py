@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from support import dialect_names
 
 import kc2spice as kc
-from kc2spice.netlist.printers.dialect_registry import dialect_names
 
 C0, FS, CM, RM = 8e-9, 6300.0, 0.45e-9, 210.0  # of a buzzer disc
 DRIVE = {"part": "source", "ac": 1.0}

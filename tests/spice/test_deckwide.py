@@ -2,13 +2,14 @@
 
 import pytest
 from device import built
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.edited_deck import read_edited_deck
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
+from support import (
+    UsageError,
+    load_scene,
+    make_deck,
+    read_edited_deck,
+    require_valid_wiring,
+    run_deck,
+)
 
 FOLLOWER = ".subckt half in out ref\nRa in out 1k\nRb out ref 1k\n.ends half\n"
 

@@ -11,21 +11,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from networks import FUNCTIONS, H, Network
+from support import TWO_TERMINAL_TABLE as TABLE
+from support import (
+    Build,
+    Header,
+    Normal,
+    contact,
+    declared_subcircuit,
+    dialect_names,
+    find_dialect,
+    law,
+    list_gallery,
+    load_part_types,
+    load_scene,
+    parse_toml,
+    print_module,
+    write_dialect_files,
+)
 
 import kc2spice as kc
-from kc2spice.core.untrusted_files import parse_toml
-from kc2spice.netlist.library import Header
-from kc2spice.netlist.printers.dialect_registry import dialect_names, find_dialect
-from kc2spice.netlist.printers.verilog_a import print_module
-from kc2spice.netlist.translate import write_dialect_files
-from kc2spice.parts.electronics.two_terminal_types import TABLE
-from kc2spice.physics import contact, law
-from kc2spice.physics.contact import Normal
-from kc2spice.physics.part import declared_subcircuit
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import load_part_types
-from kc2spice.scene.scene_file import list_gallery
 
 DECLARED = {n: kind for n, kind in load_part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = dialect_names()

@@ -6,23 +6,30 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
+from support import (
+    Build,
+    Declaration,
+    DeclaredPart,
+    Printer,
+    Waveforms,
+    assemble_system,
+    branch,
+    dialect_names,
+    displacement,
+    list_checks,
+    load_scene,
+    measured,
+    parttype,
+    resolve_build,
+    scene_laws,
+    solve_laws,
+    solve_transient,
+    subcircuit_items,
+    voltage,
+    write_dialect_files,
+)
 
 import kc2spice as kc
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.translate import write_dialect_files
-from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, measured, voltage
-from kc2spice.physics.cards import subcircuit_items
-from kc2spice.reference.integrate import solve_transient
-from kc2spice.reference.system import assemble_system
-from kc2spice.scene import parttype
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import list_checks
-from kc2spice.workflow.verify.law_solution import solve_laws
 
 EPS = 8.8541878188e-12
 AREA, GAP, K = 1e-8, 2e-6, 1.5

@@ -7,16 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pyparsing as pp
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header, parse_subcircuits
-from kc2spice.netlist.printers.dialect_registry import dialect_names, find_dialect
-from kc2spice.netlist.printers.verilog_a import print_module
-from kc2spice.netlist.translate import translate_deck, write_dialect_files
-from kc2spice.physics.contact import Normal, declare_contact
-from kc2spice.physics.part import declared_subcircuit as declared
-from kc2spice.sim.ngspice import run_deck
+from support import (
+    Deck,
+    Header,
+    Normal,
+    UsageError,
+    declare_contact,
+    dialect_names,
+    find_dialect,
+    parse_subcircuits,
+    print_module,
+    run_deck,
+    translate_deck,
+    write_dialect_files,
+)
+from support import declared_subcircuit as declared
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
 

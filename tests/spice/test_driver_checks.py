@@ -2,10 +2,7 @@
 
 import pytest
 from device import models
-
-from kc2spice.core.errors import SimulationError
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import simulate_deck
+from support import SimulationError, make_deck, simulate_deck
 
 
 def test_an_amplifier_is_not_driven_beyond_its_rails(tmp_path):

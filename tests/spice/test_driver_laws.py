@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from device import both, built
 from own_equations import VT, integrated
-
-from kc2spice.core import laws as L
-from kc2spice.core.waveforms import linear_waveform
-from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.parts.electronics._template import Load
-from kc2spice.parts.electronics.driver_types import LinearDrive
-from kc2spice.reference.integrate import solve_transient
-from kc2spice.reference.system import assemble_system
-from kc2spice.scene.load import load_scene
+from support import (
+    LinearDrive,
+    Load,
+    assemble_system,
+    linear_waveform,
+    load_scene,
+    scene_laws,
+    solve_transient,
+)
+from support import laws as L
 
 FARAD, HENRY = 1e-7, 1e-6  # F, in place of a chip; H, before it where it rings
 OUTPUT = 0.1  # Ohm, of an operational amplifier

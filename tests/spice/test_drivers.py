@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from device import bench
-
-from kc2spice.parts.electronics._template import Load, opamp_subcircuit, parameters
-from kc2spice.parts.electronics.driver_types import (
+from support import (
     Amplifier,
     AmplifierKeys,
     ChargeDrive,
@@ -14,10 +12,13 @@ from kc2spice.parts.electronics.driver_types import (
     HalfBridgeKeys,
     LinearDrive,
     LinearDriverKeys,
+    Load,
     PwmDrive,
     PwmKeys,
+    opamp_subcircuit,
+    parameters,
+    run_deck,
 )
-from kc2spice.sim.ngspice import run_deck
 
 LOAD = Load(73e-3, 3192.0, 0.1)
 

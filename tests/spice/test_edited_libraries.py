@@ -8,14 +8,9 @@ import json
 import warnings
 
 import pytest
+from support import Balance, Clock, export_scene, prepare_deck, run_scene, run_simulation
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock
-from kc2spice.scene.checks import Balance
-from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.run import run_scene
-from kc2spice.workflow.simulate import run_simulation
 
 SCENES = {"duffing": ("spring", "cubic_spring"), "loudspeaker": ("coil", "voice_coil")}
 

@@ -1,9 +1,7 @@
 """The elastic sphere in scenes: what is refused, and an impact on what hardly gives, by Hertz."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
+from support import UsageError, load_scene
 
 PRESSED = ("contact.shape=pressure", "sphere.elastic=true")
 

@@ -8,20 +8,26 @@ from itertools import product
 import numpy as np
 import pytest
 from device import bench
+from support import (
+    Certificate,
+    GateMissedError,
+    LinearModel,
+    Param,
+    ParameterAxis,
+    Port,
+    Varying,
+    app,
+    estimate_circuit_error,
+    parameter_ranges,
+    parametric_subcircuit,
+    polynomials,
+    read_cards,
+    realize,
+    require_circuit,
+    run_deck,
+    subcircuit,
+)
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
-from kc2spice.core.errors import GateMissedError
-from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.read import read_cards
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.parametric import ParameterAxis, polynomials
-from kc2spice.rom.varying import Varying
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis import parameter_ranges, realize
-from kc2spice.synthesis.emitted import estimate_circuit_error, require_circuit
-from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
-from kc2spice.synthesis.realize import subcircuit
 
 W, Q, FORCE, CHARGE, CLAMPED = 2 * np.pi * 1e3, 50.0, 3.0, 2e-4, 20e-12
 BAND = (0.01, 2e3)

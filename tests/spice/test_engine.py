@@ -4,12 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.netlist.deck import Deck
-from kc2spice.sim import ngspice
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.output import read_raw
+from support import Deck, MissingToolError, SimulationError, ngspice, read_raw, run_deck
 
 
 def raw_text(points, flags="real", names=("time", "v(a)")):

@@ -4,10 +4,7 @@ import subprocess
 
 import numpy as np
 import pytest
-
-from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.sim.output import read_raw
-from kc2spice.workflow.reduce_files import export_rom, reduce_file
+from support import export_rom, find_ngspice, read_raw, reduce_file
 
 N = 6
 K = np.diag(np.linspace(1e6, 3e6, N)) - 2e5 * (np.eye(N, k=1) + np.eye(N, k=-1))

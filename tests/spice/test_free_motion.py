@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 from device import both
-
-from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._body_ports import inert_ports
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.load import load_scene
+from support import LinearModel, Port, UsageError, inert_ports, load_scene
 
 MASS, G = 1e-6, 9.81
 BOX = {"part": "mass", "mass": MASS}

@@ -5,19 +5,22 @@ import warnings
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support import (
+    Build,
+    Clock,
+    Neglected,
+    UsageError,
+    Waveforms,
+    bimorph_body,
+    build_models,
+    count_film_branches,
+    evaluate_tree,
+    ignore_progress,
+    load_scene,
+    resolve_build,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies.bimorph import bimorph_body
-from kc2spice.parts.electrostatics.gap import count_film_branches
-from kc2spice.physics.symbolic import evaluate_tree
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.scene.rows import Neglected
-from kc2spice.workflow.models import build_models
 
 EPS, AREA, GAP, TRAVEL, K = 8.8541878188e-12, 1e-8, 3e-6, 2e-6, 1.2152
 LENGTH, WIDTH, FILM, VISCOSITY, PRESSURE = 2e-3, 1e-3, 5e-6, 18.3e-6, 1e5

@@ -5,8 +5,7 @@ import re
 import pytest
 from hard_cases import cases_catch, cases_contact, cases_kick, cases_models  # noqa: F401
 from hard_cases.kit import CASES, Bench
-
-from kc2spice.core.errors import Kc2spiceError
+from support import Kc2spiceError
 
 
 @pytest.mark.parametrize(("measure", "limit", "refused"), CASES)

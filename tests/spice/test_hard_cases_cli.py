@@ -20,11 +20,10 @@ from hard_cases.kick_settings import reference
 from hard_cases.kit import LATCH
 from hard_cases.modal_kick import Kick
 from scipy.linalg import eigh
+from support import app, load_scene
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
-from kc2spice.scene.load import load_scene
 
 LISTED = (
     "undamped modes", "0.01 % damping", "penalty 1e6 to 1e11 N/m", "all six rings closing at once",

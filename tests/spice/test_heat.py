@@ -5,14 +5,16 @@ import re
 import numpy as np
 import pytest
 import scipy
+from support import (
+    NodalCircuit,
+    dialect_names,
+    export_scene,
+    literal_value,
+    load_scene,
+    verify_scenes,
+)
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.verify.verify import verify_scenes
 
 SLAB = """
 gravity = 0.0

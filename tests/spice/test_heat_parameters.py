@@ -8,14 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import (
+    SimulationError,
+    UsageError,
+    compare_responses,
+    dialect_names,
+    export_scene,
+    find_thermal_material,
+    verify_scenes,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.fem.thermal_materials import find_thermal_material
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.verify.bodies import compare_responses
-from kc2spice.workflow.verify.verify import verify_scenes
 
 ELEMENTS = 4  # quadratic elements in each layer
 # Difference of ngspice and scipy on one system of equations.

@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
+from support import (
+    Declaration,
+    Number,
+    SimulationError,
+    UsageError,
+    dialect_names,
+    find_resistance_coefficient,
+    multiply_trees,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.netlist.expression import Number
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.physics.declaration import Declaration
-from kc2spice.physics.symbolic import multiply_trees
 
 SINK = {
     "mass": {"part": "thermal_capacitor", "capacity": "1e-3 J/K", "pins": {"b": "gnd"}},

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
+from support import Element, find_thermal_material, read_cards
 
 import kc2spice as kc
-from kc2spice.fem.thermal_materials import find_thermal_material
-from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.read import read_cards
 
 HEATER, BOX = 0.513631, 5.13631  # J/K
 FILM, WALL = 57.9268, 11.3740  # K/W

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 from hostile.circuits import honest, write_all
+from support import find_ngspice
 
 import kc2spice
-from kc2spice.sim.ngspice import find_ngspice
 
 CHILD = Path(__file__).parent / "hostile" / "child.py"
 CALL = re.compile(r"^(\d+) +(execve|openat|creat)\((?:AT_FDCWD, )?\"((?:[^\"\\]|\\.)*)\"(.*)$")

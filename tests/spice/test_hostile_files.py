@@ -5,9 +5,7 @@ import os
 
 import pytest
 from hostile import meshes, readers
-
-from kc2spice import api
-from kc2spice.fem.materials import material
+from support import api, material
 
 READING = readers.COMMANDS | {
     "bench": ("bench", "hostile.toml", "-o", "out"),

@@ -11,11 +11,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support import UsageError, read_cards, translate_circuit
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.importer import translate_circuit
-from kc2spice.netlist.read import read_cards
 
 
 def run(folder, library, scene, syntax="ltspice"):

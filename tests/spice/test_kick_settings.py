@@ -18,10 +18,8 @@ from hard_cases.kick_settings import (
     settings,
 )
 from scipy.integrate import solve_ivp
+from support import app, load_scene
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
-from kc2spice.scene.load import load_scene
 
 CONFIRMED = 40  # draws whose solution is held against the reference; of those that left, all
 

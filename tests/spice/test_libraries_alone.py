@@ -4,9 +4,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-
-from kc2spice.netlist.library import read_lib
-from kc2spice.sim.output import read_raw
+from support import read_lib, read_raw
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

@@ -5,12 +5,9 @@ import subprocess
 
 import numpy as np
 import pytest
+from support import Clock, find_ngspice, prepare_deck, translate_deck, write_files
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock
-from kc2spice.netlist.translate import translate_deck
-from kc2spice.sim.ngspice import find_ngspice, write_files
-from kc2spice.workflow.decks import prepare_deck
 
 SWEPT = {
     "name": "divider",

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 from device import models
+from support import UsageError, compute_pin_forces, find_flows, load_scene, make_deck, simulate_deck
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import find_flows
-from kc2spice.scene.parttype import compute_pin_forces
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import simulate_deck
 
 OWN = """.subckt own in out ref
 Ebuffer mid ref in ref 1

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from films import FILM
 from scipy.integrate import solve_ivp
+from support import bench, format_results, refine, value_units
 
 import kc2spice as kc
-from kc2spice.report.run_page import format_results
-from kc2spice.workflow import bench, refine
-from kc2spice.workflow.models import value_units
 
 MASS, STIFFNESS, CUBIC, DAMPING, FORCE, TONE, STOP = 25e-6, 100.0, 5e9, 5e-3, 0.05, 400.0, 20e-3
 # A Duffing oscillator at a coarse step beside a source of 1 kV, and probes whose names end in words

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 import scipy
+from support import literal_value
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal_value
 
 MODE = re.compile(
     r"\* Mode \d+: ([\d.e+-]+) (\w*)Hz, Q (\S+), (\w+)=(\S+) (\w+)=(\S+) (\w+)=(\S+) at (\w+)"

@@ -5,14 +5,9 @@ import re
 import numpy as np
 import pytest
 from device import built
+from support import UsageError, export_scene, load_scene, make_deck, read_lib, run_deck
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist import read_lib
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.export import export_scene
 
 
 def test_two_parts_whose_pins_read_alike_keep_their_voltages(tmp_path, monkeypatch):

@@ -6,14 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device import deck_of
-
-from kc2spice.bodies.stack import make_stack
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.netlist.deck import Command, Deck
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.realize import subcircuit
+from support import (
+    Chip,
+    Command,
+    Deck,
+    make_stack,
+    reduce_model,
+    require_valid_wiring,
+    run_deck,
+    subcircuit,
+)
 
 STOP = 0.56e-3
 

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from device import bench
-
-from kc2spice.core.magnets import current_products
-from kc2spice.parts.control.pid import Control, pid_subcircuit
-from kc2spice.parts.electronics._template import opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.output import classify_log
+from support import (
+    Control,
+    classify_log,
+    coils_subcircuit,
+    current_products,
+    opamp_subcircuit,
+    pid_subcircuit,
+    run_deck,
+)
 
 
 def controller(header, control, position, stop, enable=1e-6, load=0.0):

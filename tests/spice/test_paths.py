@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import scipy
+from support import CONSERVATIVE, DOMAINS, UsageError
 
 import kc2spice as kc
-from kc2spice.core.domains import CONSERVATIVE, DOMAINS
-from kc2spice.core.errors import UsageError
 
 CAPACITY = {"part": "thermal_capacitor", "capacity": "0.5 J/K", "pins": {"a": "drive.out"}}
 HEATER = {"part": "source", "kind": "heat_flow", "dc": "2 W"}

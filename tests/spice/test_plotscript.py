@@ -5,10 +5,7 @@ import subprocess
 
 import pytest
 from device import deck_of
-
-from kc2spice.netlist.printers.plot_script import write_plot_script
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import write_files
+from support import load_scene, write_files, write_plot_script
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import scipy
+from support import differentiate
 
 import kc2spice as kc
-from kc2spice.core.waveforms import differentiate
 
 STIFFNESS, DAMPING, FORCE = 100.0, 0.5, 0.01  # N/m, N s/m, N
 

@@ -5,11 +5,15 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
-
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.prefixes import read_parameter, read_value, with_prefix, with_prefixes
-from kc2spice.sim.ngspice import run_deck
+from support import (
+    Deck,
+    literal_value,
+    read_parameter,
+    read_value,
+    run_deck,
+    with_prefix,
+    with_prefixes,
+)
 
 EVERYDAY = [
     "1e-07", "1e-05", "5e-08", "2.49e-05", "0.0005", "4.7e-08", "400000000.0", "0.1", "1000.0",

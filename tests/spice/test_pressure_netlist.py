@@ -2,11 +2,7 @@
 
 import pytest
 from device import models
-
-from kc2spice.parts.mechanics._touching import find_separation
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.verify.law_solution import solve_laws
+from support import find_separation, make_deck, run_deck, solve_laws
 
 KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
 

@@ -4,12 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from support import Clock, UsageError, decks, load_scene
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow import decks
 
 R, C, V, F = 1e3, 1e-6, 4.0, 200.0
 

@@ -5,16 +5,17 @@ import sys
 import numpy as np
 import pytest
 from device import deck_of
-
-from kc2spice.core.errors import SimulationError
-from kc2spice.netlist.deck import Deck
-from kc2spice.parts.electronics._template import opamp_subcircuit
-from kc2spice.parts.mechanics.sphere import rigid_sphere
-from kc2spice.physics.part import declared_subcircuit as declared
-from kc2spice.pyspice import subcircuit
-from kc2spice.scene.rows import SampledSource
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.shared import run_shared
+from support import (
+    Deck,
+    SampledSource,
+    SimulationError,
+    opamp_subcircuit,
+    rigid_sphere,
+    run_deck,
+    run_shared,
+)
+from support import declared_subcircuit as declared
+from support import pyspice_subcircuit as subcircuit
 
 
 def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):

@@ -12,14 +12,20 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
+from support import (
+    Clock,
+    GateMissedError,
+    Kc2spiceError,
+    export_rom,
+    export_scene,
+    number_of,
+    read_lib,
+    reduce_file,
+    varied_keys,
+    with_values,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import GateMissedError, Kc2spiceError
-from kc2spice.core.progress import Clock
-from kc2spice.netlist import read_lib
-from kc2spice.parts.bodies._box import number_of, varied_keys, with_values
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 FLOOR = 1e-6  # of an entry's peak, as the error estimate is defined
 POINTS, FEW = 25, 6  # random frequencies between the ends of a band; of solids

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import scipy
+from support import HeatBodyKeys, make_heat_device
 
 import kc2spice as kc
-from kc2spice.parts.bodies._heat_keys import HeatBodyKeys
-from kc2spice.parts.bodies.heat_body import make_heat_device
 
 MATERIALS = ("copper", "silicon", "alumina", "FR4", "solder", "epoxy", "steel", "PZT")
 TOLERANCE = 1e-4

@@ -33,11 +33,7 @@ from drawn_analyses import (
 from drawn_devices import catch, elastic, electrostatic, field, stack, stretched, thrown, voice
 from own_equations import Equations, Wave
 from scipy.integrate import solve_ivp
-
-from kc2spice.core.errors import Kc2spiceError
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import load_part_types
-from kc2spice.workflow.run import run_scene
+from support import Kc2spiceError, load_part_types, load_scene, run_scene
 
 PATIENCE = 120  # s
 LIMIT = 1e-2  # rms in time of the difference over that of the wave

@@ -6,13 +6,7 @@ import re
 import numpy as np
 import pytest
 from device import bench
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.library import Header
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.realize import subcircuit
+from support import Header, LinearModel, Port, UsageError, literal_value, run_deck, subcircuit
 
 HEADER = Header("made up", "0")
 FREQUENCY = "lin 6 150 1400"

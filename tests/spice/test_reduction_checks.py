@@ -5,12 +5,8 @@ import json
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support import Check, RetriesFailedError, app, suggested_keys
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
-from kc2spice.scene.checks import Check
-from kc2spice.sim.ngspice import RetriesFailedError
-from kc2spice.workflow.orders import suggested_keys
 
 SCENE = """name = "bar_on_file"
 [bar]

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 from device import models
 from scipy.signal import lsim
+from support import LinearisedSystem, SimulationError, load_scene, run_scene
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError
-from kc2spice.reference.small_signal import LinearisedSystem
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run_scene
 
 DISC = """
 [body]

@@ -5,12 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from device import built
-
-from kc2spice.netlist.deck import Deck
-from kc2spice.scene.checks import Verdict
-from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import list_checks
+from support import (
+    Deck,
+    RetriesFailedError,
+    Verdict,
+    list_checks,
+    make_deck,
+    run_deck,
+    run_with_retries,
+)
 
 # A comparator without hysteresis drives a femtofarad: no step is short enough for it.
 HOPELESS = "B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m\n"

@@ -6,12 +6,7 @@ from dataclasses import replace
 import device
 import numpy as np
 import pytest
-
-from kc2spice.core.progress import Clock
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow import ringing
-from kc2spice.workflow.decks import make_deck, prepare_deck
+from support import Clock, load_scene, make_deck, prepare_deck, ringing, run_deck
 
 KICK = {
     "name": "rings", "kick": {"drive": {"voltage": "100 V", "start": "1 us"}}, "contact": {},

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 from device import deck_of
+from support import Clock, Waveforms, build_models, load_scene, run_deck, solve_laws
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify.law_solution import solve_laws
 
 BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
 

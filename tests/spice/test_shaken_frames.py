@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 import scipy.io
 from scipy.integrate import solve_ivp
+from support import (
+    Build,
+    SceneFile,
+    UsageError,
+    _make_scene,
+    describe_plan,
+    dialect_names,
+    load_scene,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.load import _make_scene, load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.scene_file import SceneFile
 
 STEEL = {"density": 7800.0, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
 MASS, SPRING, AMPLITUDE, TONE, STOP = 3e-3, 300.0, 5.0, 60.0, 40e-3
@@ -211,7 +214,7 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
 
 
 def test_dialects_have_the_frame_too(tmp_path: Path):
-    from kc2spice.workflow.export import export_scene
+    from support import export_scene
 
     for dialect in dialect_names()[1:]:
         export_scene(load_scene(beam()), tmp_path / dialect, dialect=dialect)

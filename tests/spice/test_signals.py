@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from commands import session
 from spicelib import RawRead
-
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import run_scene
+from support import load_scene, run_scene
 
 LONG = """name = "long"
 [source]

@@ -3,14 +3,17 @@
 import re
 
 import pytest
+from support import (
+    CONSERVATIVE,
+    SPICE_UNITS,
+    Clock,
+    Element,
+    export_scene,
+    prepare_deck,
+    write_dialect_files,
+)
 
 import kc2spice as kc
-from kc2spice.core.domains import CONSERVATIVE, SPICE_UNITS
-from kc2spice.core.progress import Clock
-from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.translate import write_dialect_files
-from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.export import export_scene
 
 HEATED = {
     "name": "heated",

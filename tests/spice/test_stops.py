@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from support import Build, Waveforms, load_scene, resolve_build, solve_laws
 
 import kc2spice as kc
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.verify.law_solution import solve_laws
 
 PLATE = Path(__file__).parents[2] / "docs/published/plate_pull_in.toml"
 MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m

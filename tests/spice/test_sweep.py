@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 from commands import session
+from support import engine
 from sweeps import circuit, command, rows, sweep
-
-from kc2spice.workflow.sweep import engine
 
 GRID = ("wire.resistance=500 Ohm:2 kOhm:4", "supply.pulse.high=5 V,10 V")
 TIME = 1e-3  # s of charging

@@ -7,10 +7,8 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from scipy.io import mmwrite
+from support import engine, read_scene_text
 from sweeps import rows
-
-from kc2spice.workflow.sweep import engine
-from kc2spice.workflow.sweep.point import read_scene_text
 
 OWN = """
 name = "own"

@@ -6,10 +6,7 @@ import sys
 import time
 
 import pytest
-
-from kc2spice.workflow.sweep import engine
-from kc2spice.workflow.sweep.engine import dask_workers, local_workers
-from kc2spice.workflow.sweep.point import SceneText
+from support import SceneText, dask_workers, engine, local_workers
 
 pytest.importorskip("distributed")
 

@@ -10,8 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
-
-from kc2spice.workflow.sweep import engine
+from support import engine
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "setpgrp"), reason="needs process groups")
 

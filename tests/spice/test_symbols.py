@@ -5,13 +5,9 @@ from dataclasses import replace
 
 import device
 import pytest
+from support import Element, literal_value, load_scene, make_deck, write_symbol_files
 
 import kc2spice as kc
-from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.translate import write_symbol_files
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.decks import make_deck
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")

@@ -7,14 +7,18 @@ import pytest
 from device import bench
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
-
-from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section
-from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
-from kc2spice.physics.declaration import Declaration, current, displacement, voltage
-from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.part import declared_subcircuit
-from kc2spice.sim.ngspice import run_deck
+from support import (
+    Declaration,
+    Section,
+    TableFunction,
+    UsageError,
+    coils_subcircuit,
+    current,
+    declared_subcircuit,
+    displacement,
+    run_deck,
+    voltage,
+)
 
 LENGTH = 1e-3  # m, of one radian
 SPRING = displacement("x", "a", "b")

@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from device import bench, deck_of
-
-from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
+from support import coils_subcircuit, load_scene, run_deck
 
 RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
 COPIES = 40

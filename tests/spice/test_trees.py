@@ -3,15 +3,19 @@
 import re
 
 import pytest
+from support import (
+    Circuit,
+    Clock,
+    Element,
+    Printer,
+    normalise_element,
+    prepare_deck,
+    read_cards,
+    read_edited_deck,
+)
+from support import deck as decks
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock
-from kc2spice.netlist import deck as decks
-from kc2spice.netlist.circuit import Circuit, Element
-from kc2spice.netlist.edited_deck import normalise_element, read_edited_deck
-from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read_cards
-from kc2spice.workflow.decks import prepare_deck
 
 
 def elements(circuit):

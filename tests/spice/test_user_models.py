@@ -5,11 +5,7 @@ every transistor switches, in ngspice, through the same gates as a user's own fi
 """
 
 import pytest
-
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import read_checked_circuit
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.sim.ngspice import run_deck
+from support import Deck, read_checked_circuit, require_valid_wiring, run_deck
 
 # Pins: inp inn vcc vee out.
 OPAMPS = {

@@ -8,21 +8,23 @@ import numpy as np
 import pytest
 from device import built, models
 from hard_cases.kit import kick
-
-from kc2spice.core.domains import DOMAINS
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.library import parse_subcircuits
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.checks import Gate
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import run_simulation
-from kc2spice.workflow.verify import bodies
-from kc2spice.workflow.verify.full_models import solve_full_models
-from kc2spice.workflow.verify.full_transient import Difference
-from kc2spice.workflow.verify.law_solution import solve_laws
-from kc2spice.workflow.verify.verify import verify_scenes
+from support import (
+    DOMAINS,
+    Clock,
+    Difference,
+    Gate,
+    LinearModel,
+    Waveforms,
+    bodies,
+    ignore_progress,
+    load_scene,
+    make_deck,
+    parse_subcircuits,
+    run_simulation,
+    solve_full_models,
+    solve_laws,
+    verify_scenes,
+)
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
 

@@ -6,18 +6,22 @@ import re
 
 import pytest
 from films import FILM
+from support import (
+    MESH_QUANTITIES,
+    Build,
+    Clock,
+    Notch,
+    Rom,
+    SceneLaws,
+    app,
+    build_models,
+    find_part_type,
+    ignore_progress,
+    load_scene,
+    submodel,
+    type_names,
+)
 from typer.testing import CliRunner
-
-from kc2spice.cli.main import app
-from kc2spice.core.mesh_error import MESH_QUANTITIES
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.core.quantities import Notch, submodel
-from kc2spice.equations.scene_laws import SceneLaws
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import find_part_type, type_names
-from kc2spice.scene.settings import Rom
-from kc2spice.workflow.models import build_models
 
 verify = importlib.import_module("kc2spice.workflow.verify.verify")
 

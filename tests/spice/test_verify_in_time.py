@@ -3,8 +3,7 @@
 import importlib
 
 import pytest
-
-from kc2spice.scene.load import load_scene
+from support import load_scene
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
 

@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from networks import H, Network
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Param, Pin
-from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.verilog_a import print_module
-from kc2spice.netlist.read import read_cards
-from kc2spice.netlist.translate import write_dialect_files
+from support import (
+    Param,
+    Pin,
+    Subcircuit,
+    UsageError,
+    print_module,
+    read_cards,
+    write_dialect_files,
+)
 
 openvaf = pytest.importorskip("openvaf_py")
 

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 import scipy.io
 from scipy import sparse
+from support import UsageError, dialect_names, export_rom, read_varying, reduce_file
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.rom.varying_io import read_varying
-from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 ELEMENTS, BETA, BAND = 20, 1e-3, (0.0, 5.0)
 TIP = kc.Port("tip", "mechanical")

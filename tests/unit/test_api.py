@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import PointResult
 
 import kc2spice as kc
-from kc2spice.workflow.sweep.point import PointResult
 
 ROOT = Path(__file__).parents[2]
 CONTRACT = (

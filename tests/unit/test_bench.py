@@ -5,10 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow import bench, refine
+from support import Waveforms, bench, load_scene, refine
 
 
 def simulator(scene, *_, **__):

@@ -10,16 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import (
+    Chip,
+    Clock,
+    _body_model,
+    build_models,
+    cache,
+    ignore_progress,
+    load_or_build,
+    load_scene,
+    ring_magnet_coils,
+)
 
 import kc2spice
-from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core import cache
-from kc2spice.core.cache import load_or_build
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.parts.bodies import _body_model
-from kc2spice.parts.magnetics import ring_magnet_coils
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.models import build_models
 
 
 @dataclass(frozen=True)

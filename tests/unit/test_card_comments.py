@@ -4,10 +4,9 @@ import re
 from itertools import chain
 
 import pytest
+from support import Declaration, branch, subcircuit_items
 
 import kc2spice as kc
-from kc2spice.physics import Declaration, branch
-from kc2spice.physics.cards import subcircuit_items
 
 # Time integral of each quantity with its SI unit, as in textbooks.
 INTEGRALS = {

@@ -8,9 +8,7 @@ import time
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.untrusted_files import call_in_child
+from support import MissingToolError, UsageError, call_in_child
 
 WORK = """
 import ctypes, os, subprocess, time

@@ -6,13 +6,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import (
+    EXAMPLES,
+    GateMissedError,
+    MissingToolError,
+    SimulationError,
+    print_result,
+    stage_directory,
+)
 
 import kc2spice
 from kc2spice import __version__
-from kc2spice.cli.main import EXAMPLES
-from kc2spice.cli.tables import print_result
-from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
-from kc2spice.core.files import stage_directory
 
 
 def test_help_and_version(cli):

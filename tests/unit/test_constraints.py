@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.rom.constraints import deflate_infinite_poles, null_basis, reduced_form
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, deflate_infinite_poles, null_basis, reduce_model, reduced_form
 
 
 def test_two_masses_on_a_rigid_bar_are_one():

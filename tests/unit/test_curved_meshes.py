@@ -5,11 +5,7 @@ import meshio
 import numpy as np
 import pytest
 import skfem
-
-from kc2spice.core.errors import UsageError
-from kc2spice.fem.materials import material
-from kc2spice.fem.mesh_file import read_mesh
-from kc2spice.parts.bodies.body import device
+from support import UsageError, device, material, read_mesh
 
 SUFFIXES = (".unv", ".inp", ".bdf", ".vtu", ".med", ".exo")
 LIBRARIES = {".med": "h5py", ".exo": "netCDF4"}

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import pytest
 from pydantic import TypeAdapter
+from support import COORDINATES, Declaration, branch, displacement, quantities
 
 import kc2spice as kc
-from kc2spice.core import quantities
-from kc2spice.physics import Declaration, branch, displacement
-from kc2spice.physics.declaration import COORDINATES
 
 PAGE = Path(__file__).parents[2] / "docs/reference/declarations.md"
 

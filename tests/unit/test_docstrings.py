@@ -8,11 +8,9 @@ import re
 from pathlib import Path
 
 import pytest
+from support import dialect_registry, parttype, pyspice
 
 import kc2spice as kc
-from kc2spice import pyspice
-from kc2spice.netlist.printers import dialect_registry
-from kc2spice.scene import parttype
 
 ROOT = Path(__file__).parents[2]
 # Examples of many seconds without a cache: they build a buzzer and simulate or fit it.

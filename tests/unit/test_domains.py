@@ -1,16 +1,16 @@
 """The table of physical domains: its units, the power on its pins, and who reads it."""
 
 import pytest
-
-from kc2spice.core.domains import (
+from support import (
     CONSERVATIVE,
     PORTS,
     QUANTITIES,
     TABLE,
+    _parse_unit,
     across_of,
     domain_of,
+    quantity,
 )
-from kc2spice.core.quantities import _parse_unit, quantity
 
 WATT = _parse_unit("W")
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import RecordedWave, Waveforms, have_same_content, material
 
 import kc2spice as kc
-from kc2spice.core.equality import have_same_content
-from kc2spice.core.waveforms import RecordedWave, Waveforms
-from kc2spice.fem.materials import material
 
 PACKAGE = Path(kc.__file__).parent
 # Functions of arrays are compared by identity.

@@ -5,10 +5,9 @@ import re
 import numpy as np
 import pytest
 from scipy import sparse
+from support import _fit_power_series, material
 
 import kc2spice as kc
-from kc2spice.fem.magnet_rings import _fit_power_series
-from kc2spice.fem.materials import material
 
 LANGEVIN = """
 name = "own"

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lsim
-
-from kc2spice.rom.enriched import Orders, last_change, response, time_errors
-from kc2spice.rom.linear_model import LinearModel, Port
+from support import LinearModel, Orders, Port, last_change, response, time_errors
 
 PUSH = (Port("tip", "mechanical"),)
 EVERY = [np.ones(1, bool)]

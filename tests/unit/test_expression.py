@@ -3,8 +3,7 @@
 import operator
 
 import pytest
-
-from kc2spice.netlist.expression import Binary, Choice, Number, Unary, Writer, parse_expression
+from support import Binary, Choice, Number, Unary, Writer, parse_expression
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,

@@ -9,11 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from kc2spice.cli.doctor import _PYTHON_PACKAGES
-from kc2spice.core.errors import MissingToolError
-from kc2spice.core.extras import LIBRARIES, import_optional
-from kc2spice.rom.linear_model import LinearModel
+from support import _PYTHON_PACKAGES, LIBRARIES, LinearModel, MissingToolError, import_optional
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

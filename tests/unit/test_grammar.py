@@ -3,10 +3,7 @@
 import re
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.compose import describe_nets
-from kc2spice.scene.load import load_scene
+from support import UsageError, describe_nets, load_scene
 
 DIVIDER = """\
 [supply]

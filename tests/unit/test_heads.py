@@ -4,17 +4,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support import (
+    Certificate,
+    Deck,
+    Header,
+    Pin,
+    Printer,
+    ReductionSummary,
+    join_comments,
+    part_header,
+    read_cards,
+    rom_comments,
+    run_deck,
+    with_parameters,
+)
 
 import kc2spice as kc
-from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header, ReductionSummary, join_comments
-from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read_cards
-from kc2spice.netlist.transforms import with_parameters
-from kc2spice.rom.linear_model import Certificate
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.header import part_header, rom_comments
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 

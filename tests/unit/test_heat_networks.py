@@ -5,12 +5,9 @@ import re
 import numpy as np
 import pytest
 from commands import asked
+from support import FosterNetwork, HeatLadder, NodalCircuit, heat_ladder, literal_value, read_rom
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.heat_network import FosterNetwork, HeatLadder, heat_ladder
-from kc2spice.rom.io import read_rom
 
 PORT = kc.Port("junction", "thermal")
 

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from instrument_layouts import AD2, DEG, E4990, GAIN, LAYOUTS, SHUNT, TRACE_A, F, S, Y, Z, rows
+from support import app, parse_shunt_resistance, read_measured, reduce_file
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import parse_shunt_resistance, read_measured
-from kc2spice.cli.main import app
-from kc2spice.workflow.reduce_files import reduce_file
 
 FILES = Path(__file__).parents[1] / "data" / "instruments"
 REFUSED = kc.errors.UsageError

@@ -3,11 +3,7 @@
 import re
 
 import pytest
-
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
+from support import Clock, build_models, ignore_progress, load_scene, make_deck
 
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
          "rom.order=6", "contact.rings=all", "catch.positions=4")  # fmt: skip

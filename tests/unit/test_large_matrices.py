@@ -5,9 +5,7 @@ import os
 import numpy as np
 import pytest
 from scipy import sparse
-
-from kc2spice.linalg import processor
-from kc2spice.rom import stability
+from support import processor, stability
 
 SIDE = 20  # nodes of a cube in each direction: 8 000 unknowns
 

@@ -115,7 +115,7 @@ def test_only_parts_name_part_types():
 
     Names that are words of other subjects as well (``mass``) are not looked for.
     """
-    from kc2spice.scene.parttype import load_part_types
+    from support import load_part_types
 
     asking = {"scene", "synthesis", "sim", "report", "workflow", "cli", "api"}
     words = {"mass", "spring", "damper", "body", "netlist", "source", "sensor", "matrices",

@@ -4,13 +4,7 @@ import random
 
 import numpy as np
 import pytest
-
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import parse_subcircuits
-from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
-from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read_cards
-from kc2spice.sim.ngspice import run_deck
+from support import Deck, Printer, parse_subcircuits, read_cards, run_deck, wrap_card, wrap_comments
 
 SUM = "+".join(f"{k}e-05*V(in_{k % 3},0)/w{k % 2}" for k in range(1, 40))
 CARDS = [

@@ -1,10 +1,7 @@
 """Wrong wiring is named, with file and line, before any simulator runs."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.lint import find_wiring_mistakes, require_valid_wiring
+from support import Deck, UsageError, find_wiring_mistakes, require_valid_wiring
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A

@@ -1,11 +1,9 @@
 """Entries of lists by number: in overrides, sweeps, draws and Python; what is wrong with them."""
 
 import pytest
+from support import SceneText, UsageError, make_sweep
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.workflow.sweep.engine import make_sweep
-from kc2spice.workflow.sweep.point import SceneText
 
 HARVESTER = SceneText("harvester", None)
 
@@ -57,7 +55,7 @@ def test_entries_are_swept_and_drawn():
     ],
 )
 def test_what_is_wrong_with_a_path_is_said(text, words):
-    from kc2spice.scene.load import load_scene
+    from support import load_scene
 
     with pytest.raises(UsageError) as caught:
         load_scene("harvester", [text])

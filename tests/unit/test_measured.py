@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 import scipy
 import skrf
+from support import (
+    ac_command,
+    first_deck,
+    fit_multiport,
+    is_measured,
+    parallel_branches,
+    read_measured,
+    read_rom,
+    reduce_file,
+)
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import is_measured, read_measured
-from kc2spice.netlist.deck import ac_command
-from kc2spice.rom.io import read_rom
-from kc2spice.rom.multiport import fit_multiport
-from kc2spice.rom.network import parallel_branches
-from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 F = np.linspace(40e3, 80e3, 401)
 W = 2 * np.pi * F

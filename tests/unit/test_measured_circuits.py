@@ -8,15 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skrf
+from support import (
+    CircuitBranch,
+    ParallelBranches,
+    ac_command,
+    first_deck,
+    fit_one_port,
+    parallel_branches,
+    parse_expression,
+    read_measured,
+    read_rom,
+    reduce_file,
+)
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import read_measured
-from kc2spice.netlist.deck import ac_command
-from kc2spice.netlist.expression import parse_expression
-from kc2spice.rom.branch_fit import fit_one_port
-from kc2spice.rom.io import read_rom
-from kc2spice.rom.network import CircuitBranch, ParallelBranches, parallel_branches
-from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
 NOISE = 1e-3
 RMS = np.sqrt(2) * NOISE

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 import skrf
+from support import app, read_measured, reduce_file
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import read_measured
-from kc2spice.cli.main import app
-from kc2spice.workflow.reduce_files import reduce_file
 
 F = np.linspace(1e3, 1e5, 400)
 W = 2 * np.pi * F

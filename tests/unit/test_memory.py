@@ -7,11 +7,8 @@ import warnings
 
 import numpy as np
 import pytest
-
-from kc2spice.core.memory import available_bytes
-from kc2spice.rom import stability as proofs
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
+from support import LinearModel, available_bytes, reduce_model
+from support import stability as proofs
 
 
 def system(root, files):

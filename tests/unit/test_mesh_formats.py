@@ -6,9 +6,7 @@ import gmsh
 import meshio
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.fem.mesh_file import measure_extent, read_mesh
+from support import MissingToolError, UsageError, measure_extent, read_mesh
 
 SUFFIXES = (".unv", ".inp", ".bdf", ".vtu", ".med", ".exo")
 LIBRARIES = {".med": "h5py", ".exo": "netCDF4"}

@@ -4,14 +4,15 @@ import json
 
 import numpy as np
 import pytest
-
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.control.pid import settling_time
-from kc2spice.parts.mechanics._touching import find_separation
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import compute_metrics
+from support import (
+    Build,
+    Waveforms,
+    compute_metrics,
+    find_separation,
+    load_scene,
+    resolve_build,
+    settling_time,
+)
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-
-from kc2spice.workflow.misfit import estimate_covariance, find_likely_cause, rms_misfit
+from support import estimate_covariance, find_likely_cause, rms_misfit
 
 F = np.linspace(0.8, 1.3, 200)
 TRUE = np.log([1.0, 0.2, 50.0])  # resonance, motional capacitance, Q

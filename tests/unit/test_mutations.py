@@ -6,13 +6,15 @@ import struct
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import read_checked_circuit
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.scene.scene_file import list_gallery
-from kc2spice.sim.output import read_raw
+from support import (
+    Deck,
+    SimulationError,
+    UsageError,
+    list_gallery,
+    read_checked_circuit,
+    read_raw,
+    require_valid_wiring,
+)
 
 TOKENS = (
     "nan", "inf", "-1", "0", "1e999", "1e-400", "-1e30", '""', '"1 parsec"', '"3"', "true", "[]",

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 from scipy import sparse
-
-from kc2spice.rom.band import find_band_end, natural_band
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.workflow.reduce_files import _load_scene_body
+from support import LinearModel, _load_scene_body, find_band_end, natural_band, reduce_model
 
 K_LINK, MASS = 1e6, 1e-2
 
@@ -49,8 +45,7 @@ def test_unknowns_without_inertia_suggest_no_band():
 
 def test_a_body_of_a_scene_is_reduced_over_the_band_of_the_scene():
     model = _load_scene_body("buzzer_7bb_20_6:disc")
-    from kc2spice.parts.bodies._body_model import scene_band
-    from kc2spice.scene.load import load_scene
+    from support import load_scene, scene_band
 
     scene = load_scene("buzzer_7bb_20_6")
     low, high = 0.8 * scene.analysis.start, 1.2 * scene.analysis.stop

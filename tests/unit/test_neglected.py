@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
-
-from kc2spice.fem.materials import material
-from kc2spice.parts.bodies import _neglected, bimorph, disc
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.rows import Neglected
+from support import Neglected, _neglected, bimorph, disc, load_scene, material
 
 BUZZER = {
     "layers": [

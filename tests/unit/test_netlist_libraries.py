@@ -5,12 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-
-from kc2spice.netlist.circuit import Circuit, Element
-from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.library import read_lib
-from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read_cards
+from support import Circuit, Element, Printer, literal_value, read_cards, read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))

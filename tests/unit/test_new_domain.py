@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from kc2spice.core.domains import PORTS
+from support import PORTS
 
 ROOT = Path(__file__).parents[2]
 # Water under a head: 1 V is 1 kPa over the pin ``tank``, 1 A is 1 dm3/s.

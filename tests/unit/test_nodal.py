@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import evaluate_parameter, parse_expression
-from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.read import read_cards
+from support import NodalCircuit, UsageError, evaluate_parameter, parse_expression, read_cards
 
 LADDER = """\
 .subckt ladder in out ref size=1

@@ -8,13 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import UsageError, export_rom, export_scene, load_scene, reduce_file, stage_directory
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.files import stage_directory
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 
 def write(work, **files):

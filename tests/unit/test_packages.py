@@ -3,9 +3,7 @@
 import sys
 
 import pytest
-
-from kc2spice.cli import doctor
-from kc2spice.core import packages
+from support import doctor, packages
 
 # First lines of /etc/os-release of several systems.
 DEBIAN = 'PRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\nID=debian\n'

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from support import MissingToolError, pardiso
 
 import kc2spice as kc
-from kc2spice.core.errors import MissingToolError
-from kc2spice.linalg import pardiso
 
 N = 1500
 STIFFNESS = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(N, N), format="csc")

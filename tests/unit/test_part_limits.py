@@ -1,9 +1,7 @@
 """Limits of the keys of parts: refused numbers, and accepted numbers next to them."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
+from support import UsageError, load_scene
 
 ALONE = {"name": "alone", "kick": {}}
 BALL = {"name": "ball", "sphere": {"velocity": -1.0}}

@@ -3,12 +3,7 @@
 import json
 
 import pytest
-
-from kc2spice.core.untrusted_files import parse_toml
-from kc2spice.scene.keys import list_schema_keys
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.part_reference import describe_part_types
-from kc2spice.scene.parttype import load_part_types
+from support import describe_part_types, list_schema_keys, load_part_types, load_scene, parse_toml
 
 BY_FILE = {"body", "matrices"}  # their pins stand in files of the user
 NO_PINS = {"port_loads", "throw"}

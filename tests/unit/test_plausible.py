@@ -3,14 +3,7 @@
 import warnings
 
 import pytest
-
-from kc2spice.bodies.stack_keys import Cap, Chip
-from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import plausible_range_of
-from kc2spice.core.waveforms import PulseKeys
-from kc2spice.parts.bodies import bimorph
-from kc2spice.parts.mechanics import mass
-from kc2spice.scene.load import load_scene
+from support import Cap, Chip, PulseKeys, UsageError, bimorph, load_scene, mass, plausible_range_of
 
 
 def test_they_may_be_run_all_the_same():

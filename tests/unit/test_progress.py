@@ -6,10 +6,9 @@ import mor_families as families
 import numpy as np
 import pytest
 from scipy import sparse
+from support import Clock, ConvergenceTimer, StepTimer, follow_stage, progress
 
 import kc2spice as kc
-from kc2spice.core import progress
-from kc2spice.core.progress import Clock, ConvergenceTimer, StepTimer, follow_stage
 
 
 @pytest.fixture

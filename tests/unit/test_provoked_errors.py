@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import Check, require_passed
 
 import kc2spice as kc
-from kc2spice.scene.checks import Check, require_passed
 
 BUZZER = """[disc]
 part = "disc"

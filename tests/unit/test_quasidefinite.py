@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
-
-from kc2spice.linalg import factor as factors
-from kc2spice.linalg.factor import factorise_quasi_definite
-from kc2spice.linalg.quasidefinite import QuasiDefinite, find_supernodes
+from support import QuasiDefinite, factorise_quasi_definite, find_supernodes
+from support import factor as factors
 
 
 def grid(sides):

@@ -1,16 +1,19 @@
 """Libraries read back: pins, units, parameters with their ranges."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist import read_lib
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header
-from kc2spice.netlist.transforms import with_parameters
-from kc2spice.parts.control.pid import Control, pid_subcircuit
-from kc2spice.parts.mechanics.sphere import rigid_sphere
-from kc2spice.physics.contact import Normal, declare_contact
-from kc2spice.physics.part import declared_subcircuit as declared
+from support import (
+    Control,
+    Deck,
+    Header,
+    Normal,
+    UsageError,
+    declare_contact,
+    pid_subcircuit,
+    read_lib,
+    rigid_sphere,
+    with_parameters,
+)
+from support import declared_subcircuit as declared
 
 HEADER = Header("test", "0")
 CONTACT = declare_contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.0, 5e-5)))

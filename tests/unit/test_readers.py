@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from scipy import io as scipy_io
 from scipy import sparse
-
-from kc2spice.bodies.readers import mesh_extent, read_model
-from kc2spice.bodies.readers.sidecar import read_sidecar
-from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.extras import import_optional
-from kc2spice.rom.linear_model import LinearModel
+from support import (
+    LinearModel,
+    MissingToolError,
+    UsageError,
+    import_optional,
+    mesh_extent,
+    read_model,
+    read_sidecar,
+)
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
 N = 6
@@ -598,7 +601,7 @@ def test_sidecars_that_are_wrong(labelled, text, words):
 
 def test_documented_sidecar_is_read(tmp_path):
     """The example in the docstring is one that the reader accepts, alternatives taken out."""
-    from kc2spice.bodies.readers import sidecar as module
+    from support import sidecar as module
 
     block = (module.__doc__ or "").split("::\n", 1)[1].split("A mechanical port at")[0]
     alternatives = ("damping = { ratio", "damping = { loss", "axis =", "within =", "scale =")

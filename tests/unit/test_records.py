@@ -10,21 +10,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 
 import pytest
-
-import kc2spice as kc
-from kc2spice.core.progress import Clock
-from kc2spice.core.workspace import Workspace
-from kc2spice.parts.mechanics._touching import Pair
-from kc2spice.scene import resolve
-from kc2spice.scene.model import (
+from support import (
+    Clock,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
+    Pair,
     PartType,
     WiredScene,
+    Workspace,
+    load_part_types,
+    prepare_deck,
+    resolve,
 )
-from kc2spice.scene.parttype import load_part_types
-from kc2spice.workflow.decks import prepare_deck
+
+import kc2spice as kc
 
 MOST = 2
 # Cards that depend on the order of parts: comments list them, and a batch run prints two vectors.

@@ -8,13 +8,10 @@ import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import solve_continuous_lyapunov
+from support import UsageError, app, compare_methods, factor
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
-from kc2spice.core.errors import UsageError
-from kc2spice.linalg import factor
-from kc2spice.workflow.methods import compare_methods
 
 TOLERANCES = 1e-2, 1e-3, 1e-4, 1e-5, 1e-6
 

@@ -5,15 +5,18 @@ import numpy as np
 import oracle
 import pytest
 from scipy.linalg import eigh, schur, solve_continuous_lyapunov
+from support import (
+    BalancedTruncation,
+    BlockKrylov,
+    RationalKrylov,
+    Task,
+    UsageError,
+    _gramian_root,
+    intermediate_model,
+    registry,
+)
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.reduced_basis import Task
-from kc2spice.rom.reductors import registry
-from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation, _gramian_root
-from kc2spice.rom.reductors.block_krylov import BlockKrylov
-from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 
 METHODS = (
     "response POD", "response POD of both sides", "balanced truncation",

@@ -10,24 +10,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.core.prefix import format_quantity, format_value_and_limit
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.charts import render_figure
-from kc2spice.report.figures import draw_pngs
-from kc2spice.report.html import PageSection, write_page
-from kc2spice.report.run_page import (
+from support import (
+    Build,
+    Curve,
+    Figure,
+    PageSection,
+    Panel,
+    Waveforms,
+    compute_metrics,
+    describe_plan,
+    draw_pngs,
     format_operating_point,
+    format_quantity,
     format_results,
     format_summary,
+    format_value_and_limit,
+    load_scene,
+    render_figure,
+    resolve_build,
+    write_page,
     write_run,
 )
-from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import compute_metrics
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
 

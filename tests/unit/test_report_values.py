@@ -4,12 +4,9 @@ import re
 from dataclasses import astuple
 
 import pytest
+from support import Rom, describe_devices, describe_target, format_quantity
 
 import kc2spice as kc
-from kc2spice.core.prefix import format_quantity
-from kc2spice.parts.bodies._body_model import describe_target
-from kc2spice.report.drawings import describe_devices
-from kc2spice.scene.settings import Rom
 
 RING = {"conductor.inner": "20 mm"}
 

@@ -1,9 +1,7 @@
 """Rings that a scene needs, against the paper's chip and closed forms."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.scene.load import load_scene
+from support import UsageError, load_scene
 
 
 def rings_of(scene, chip="kick"):

@@ -5,13 +5,15 @@ import json
 import numpy as np
 import pytest
 from scipy import io, sparse
-
-from kc2spice.bodies.readers import read_model
-from kc2spice.core.errors import UsageError
-from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
+from support import (
+    LinearModel,
+    UsageError,
+    dialect_names,
+    read_model,
+    read_rom,
+    reduce_model,
+    write_rom,
+)
 
 N = 12
 

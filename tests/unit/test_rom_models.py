@@ -4,10 +4,14 @@ import numpy as np
 import oracle
 import pytest
 from scipy import sparse
-
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
-from kc2spice.rom.pencil import eliminate_massless
+from support import (
+    LinearModel,
+    Port,
+    SimulationError,
+    UsageError,
+    eliminate_massless,
+    with_potentials,
+)
 
 
 @pytest.mark.parametrize("form", ["piezoelectric", "not symmetric", "first order"])

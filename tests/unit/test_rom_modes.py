@@ -5,9 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
-
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators, chip_response, make_highest_modes_massless, mode_table
+from support import (
+    Certificate,
+    LinearModel,
+    Port,
+    Resonators,
+    chip_response,
+    make_highest_modes_massless,
+    mode_table,
+)
 
 RNG = np.random.default_rng(12)
 TIP = Port("mech", "mechanical")

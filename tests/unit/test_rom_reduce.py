@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 from mor_families import damped_chain
-
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.stability import prove_stability
+from support import LinearModel, Pencil, Port, UsageError, prove_stability, reduce_model
 
 
 def chain(n, dashpot, **more):

@@ -1,14 +1,16 @@
 """A third-party circuit that could act on the machine is refused; an honest one is not."""
 
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import explain_unsafe_name
-from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import read_checked_circuit, read_included_netlist
-from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.verify.verify import verify_scenes
+from support import (
+    Deck,
+    UsageError,
+    explain_unsafe_name,
+    load_scene,
+    read_checked_circuit,
+    read_included_netlist,
+    require_valid_wiring,
+    verify_scenes,
+)
 
 AMPLIFIER = """* a vendor's amplifier
 .subckt amp inp inn out

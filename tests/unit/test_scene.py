@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import MAX_TEXT_BYTES, UsageError, list_all_keys, list_gallery, load_scene, scene_hash
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import MAX_TEXT_BYTES
-from kc2spice.scene.keys import list_all_keys
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import scene_hash
-from kc2spice.scene.scene_file import list_gallery
 
 
 def test_gallery_has_the_papers_experiments():

@@ -6,13 +6,9 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
+from support import Build, Clock, build_models, ignore_progress, load_scene, scene_laws, with_laws
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.equations.scene_laws import scene_laws, with_laws
-from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build
-from kc2spice.workflow.models import build_models
 
 LOW_PASS = {
     "name": "low_pass",

@@ -8,25 +8,29 @@ import zipfile
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-from kc2spice.bodies.readers import read_model
-from kc2spice.cli.main import app
-from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import (
+from support import (
     MAX_TEXT_BYTES,
+    Certificate,
+    Header,
+    LinearModel,
+    Param,
+    Pin,
+    Port,
+    UsageError,
+    app,
     explain_unsafe_name,
+    load_scene,
     make_plain_name,
     parse_toml,
+    part_header,
+    positive_parameter,
     read_bounded,
+    read_model,
+    read_rom,
+    write_files,
+    write_rom,
 )
-from kc2spice.netlist.circuit import Param, Pin, positive_parameter
-from kc2spice.netlist.library import Header
-from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import write_files
-from kc2spice.synthesis.header import part_header
+from typer.testing import CliRunner
 
 SOON = 5.0  # s
 CRAFTED = {

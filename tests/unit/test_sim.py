@@ -3,11 +3,7 @@
 import os
 
 import pytest
-
-from kc2spice.core.errors import MissingToolError, SimulationError
-from kc2spice.netlist.deck import Deck
-from kc2spice.sim import ngspice
-from kc2spice.sim.output import classify_log
+from support import Deck, MissingToolError, SimulationError, classify_log, ngspice
 
 # ----------------------------------------------------------------------------------------- log
 

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from support import MissingToolError, SimulationError, UsageError, app, pardiso
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.cli.main import app
-from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.linalg import pardiso
 
 N = 2000
 STIFFNESS = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(N, N), format="csc")
@@ -70,7 +68,7 @@ def test_a_supplied_solver_makes_all_factors_of_a_damped_model(outputs):
 
 def test_definite_matrices_need_a_count_of_negative_eigenvalues(monkeypatch):
     """Without the count, the Cholesky factor of kc2spice proves that they are definite."""
-    from kc2spice.linalg import factor
+    from support import factor
 
     cholesky = []
     original = factor._factor_banded

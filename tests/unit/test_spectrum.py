@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
-
-from kc2spice.core.spectrum import find_energy_frequency, find_waveform_frequency
-from kc2spice.core.waveforms import (
+from support import (
     constant_waveform,
+    find_energy_frequency,
+    find_waveform_frequency,
+    highest_frequency,
     linear_waveform,
+    load_scene,
     pulse_waveform,
     sine_waveform,
 )
-from kc2spice.scene.highest_frequency import highest_frequency
-from kc2spice.scene.load import load_scene
 
 # Each edge of height V leaves V^2 / (2 pi^2 F) above the frequency F.
 BOTH_EDGES = 1e3 / np.pi**2

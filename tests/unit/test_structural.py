@@ -5,12 +5,16 @@ import warnings
 import numpy as np
 import pytest
 import scipy
-
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.lossy_modes import assemble_oscillators, relaxing_oscillator, viscous_oscillator
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.synthesis.realize import subcircuit
+from support import (
+    LinearModel,
+    Port,
+    UsageError,
+    assemble_oscillators,
+    reduce_model,
+    relaxing_oscillator,
+    subcircuit,
+    viscous_oscillator,
+)
 
 
 def test_one_oscillator_has_its_loss_at_resonance():

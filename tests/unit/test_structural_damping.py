@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.structural_damping import (
+from support import (
+    LinearModel,
+    Port,
+    UsageError,
     add_structural_damping,
     constant_loss,
     relaxing_stiffness,

@@ -6,9 +6,9 @@ whole coupled matrix is solved by numpy; nothing is eliminated there.
 
 import numpy as np
 import pytest
+from support import UsageError
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
 
 MASSES, POTENTIALS = 24, 8  # displacements, and potentials between two electrodes
 BAND = (0.0, 120.0)

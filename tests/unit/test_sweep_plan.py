@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
-
-from kc2spice.core.errors import UsageError
-from kc2spice.workflow.sweep.engine import load_named_sweep, make_sweep
-from kc2spice.workflow.sweep.point import SceneText
+from support import SceneText, UsageError, load_named_sweep, make_sweep
 
 LOOP = SceneText("kick_and_catch", None)
 

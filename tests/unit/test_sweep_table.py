@@ -6,12 +6,16 @@ import sqlite3
 
 import numpy as np
 import pytest
-
-from kc2spice.core.errors import UsageError
-from kc2spice.report.sweep_page import _plot_histogram, compute_yields
-from kc2spice.workflow.sweep.engine import RowStore, columns, write_csv
-from kc2spice.workflow.sweep.grid import make_plan
-from kc2spice.workflow.sweep.point import PointResult
+from support import (
+    PointResult,
+    RowStore,
+    UsageError,
+    _plot_histogram,
+    columns,
+    compute_yields,
+    make_plan,
+    write_csv,
+)
 
 PLAN = make_plan({"a": tuple(0.1 * k for k in range(6))})
 

@@ -5,14 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import (
+    FosterNetwork,
+    StepSamples,
+    fit_transient,
+    is_transient,
+    read_rom,
+    read_title,
+    read_transient,
+    reduce_file,
+)
 
 import kc2spice as kc
-from kc2spice.bodies.readers.thermal_transient import is_transient, read_transient
-from kc2spice.bodies.readers.titles import read_title
-from kc2spice.rom.heat_network import FosterNetwork
-from kc2spice.rom.io import read_rom
-from kc2spice.rom.transient_fit import StepSamples, fit_transient
-from kc2spice.workflow.reduce_files import reduce_file
 
 DATA = Path(__file__).parents[1] / "data" / "transients"
 LED = DATA / "T25_I-m5m-I-h600m_100s.raw"

@@ -1,9 +1,7 @@
 """Outcomes that the errors of reduced bodies may change."""
 
 import pytest
-
-from kc2spice.scene.checks import Check
-from kc2spice.workflow.metrics import with_undecided
+from support import Check, with_undecided
 
 GRAVITY = 9.81
 

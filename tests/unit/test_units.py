@@ -6,9 +6,7 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import quantity
+from support import UsageError, quantity
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,9 @@ import re
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from support import UsageError, compare_methods, registry, subcircuit
 
 import kc2spice as kc
-from kc2spice.core.errors import UsageError
-from kc2spice.rom.reductors import registry
-from kc2spice.synthesis.realize import subcircuit
-from kc2spice.workflow.methods import compare_methods
 
 N = 40
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.checks import Gate
-from kc2spice.workflow.verify.verify import (
+from support import (
+    Gate,
     Solution,
+    Waveforms,
     gate_difference,
     list_gate_checks,
     metric_errors,

@@ -22,11 +22,9 @@ import numpy as np
 from scipy import signal, sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from support import SimulationError, UsageError, complete_run, load_scene
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import complete_run
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from drawn_devices import voice

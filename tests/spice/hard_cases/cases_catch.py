@@ -4,8 +4,7 @@ from dataclasses import replace
 
 from device import chip, magnets
 from hard_cases.kit import case, scene
-
-from kc2spice.scene.load import load_scene
+from support import load_scene
 
 FEW = 12
 

@@ -7,12 +7,10 @@ from device import RADII, chip, deck_of
 from hard_cases.kit import HEADER, bench_deck, case, exact, kick, relative, scene
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
+from support import Normal, SphereKeys, declare_contact, rigid_sphere, subcircuit
+from support import declared_subcircuit as declared
 
 from bench.distance import compare
-from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, declare_contact
-from kc2spice.physics.part import declared_subcircuit as declared
-from kc2spice.synthesis.realize import subcircuit
 
 MASS = SphereKeys().mass
 STEP = 0.5e-9  # s, of the oracle

@@ -6,10 +6,7 @@ import numpy as np
 from device import chip
 from hard_cases.kit import HEADER, bench_deck, case, exact, kick, launch_error, leaves, relative
 from scipy.linalg import expm
-
-from kc2spice.core.waveforms import Waveforms
-from kc2spice.rom.linear_model import Port
-from kc2spice.synthesis.realize import subcircuit
+from support import Port, Waveforms, subcircuit
 
 LAUNCH = "launch, relative"
 

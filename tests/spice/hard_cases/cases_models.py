@@ -4,12 +4,7 @@ import mor_families as families
 import numpy as np
 from device import chip, deck_of
 from hard_cases.kit import HEADER, LATCH, bench_deck, case
-
-from kc2spice.parts.electronics._template import opamp_subcircuit
-from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduce import reduce_model
-from kc2spice.scene.load import load_scene
-from kc2spice.synthesis.realize import subcircuit
+from support import LinearModel, load_scene, opamp_subcircuit, reduce_model, subcircuit
 
 RESPONSE = "worst response over peak"
 SIZE = 40

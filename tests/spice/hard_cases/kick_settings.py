@@ -18,12 +18,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
+from support import Clock, SimulationError, UsageError, complete_run, load_scene
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.progress import Clock
-from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import complete_run
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.modal_kick import Kick

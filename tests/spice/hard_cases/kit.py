@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
-
-from kc2spice.netlist.library import Header
-from kc2spice.parts.mechanics._touching import find_separation
-from kc2spice.scene.checks import require_passed
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import list_checks
-from kc2spice.workflow.verify.law_solution import solve_laws
+from support import (
+    Header,
+    find_separation,
+    list_checks,
+    load_scene,
+    make_deck,
+    require_passed,
+    run_deck,
+    solve_laws,
+)
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed

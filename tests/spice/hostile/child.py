@@ -7,12 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from kc2spice.core.errors import Kc2spiceError
-from kc2spice.core.progress import Clock
-from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import build_models
+from support import Clock, Kc2spiceError, build_models, load_scene, make_deck, run_deck
 
 
 def main(root):

@@ -175,9 +175,8 @@ def honest(kind, root):
 
 def ask(words, home):
     """Exit code and all that was said."""
+    from support import app
     from typer.testing import CliRunner
-
-    from kc2spice.cli.main import app
 
     os.chdir(home)
     os.environ["KC2SPICE_CACHE"] = str(home / "cache")

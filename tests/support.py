@@ -1,0 +1,282 @@
+"""Names of the package that tests use: the only place in the tests that knows its layout.
+
+Tests import ``from support import NAME``. A module is loaded when its first name is needed. A name
+that several modules use for different objects has an alias here, as ``NAME=ALIAS``.
+"""
+
+from importlib import import_module
+
+NAMES_BY_MODULE = {
+    "kc2spice": "api pyspice",
+    "kc2spice.bodies.device": "Block BondedBlocks ForceShape Setup make_device spread_force",
+    "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
+    "kc2spice.bodies.fields": (
+        "FieldProbe compute_lowest_modes evaluate_at_nodes find_extremes "
+        "largest_principal_stress recover_motion write_vtu"
+    ),
+    "kc2spice.bodies.heat_field": "recover_temperatures write_temperatures",
+    "kc2spice.bodies.heat_model": "HeatSetup make_heat_model",
+    "kc2spice.bodies.impedance": "analyse_impedance",
+    "kc2spice.bodies.pressure": (
+        "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
+        "compute_local_compliance compute_surface_compliance fit_indentation_law model_sphere "
+        "solve_contact_forces sphere_compliance stresses_under_force"
+    ),
+    "kc2spice.bodies.readers": "mesh_extent read_model sidecar",
+    "kc2spice.bodies.readers.measured": (
+        "MeasuredAdmittance is_measured parse_shunt_resistance read_measured"
+    ),
+    "kc2spice.bodies.readers.sidecar": "read_sidecar",
+    "kc2spice.bodies.readers.thermal_transient": "is_transient read_transient",
+    "kc2spice.bodies.readers.titles": "read_title",
+    "kc2spice.bodies.stack": "choose_level_spans make_stack make_stack_setup",
+    "kc2spice.bodies.stack_keys": "Cap Chip ChipMesh",
+    "kc2spice.bodies.undamped": "compute_undamped_responses",
+    "kc2spice.cli": "doctor",
+    "kc2spice.cli.doctor": "_PYTHON_PACKAGES",
+    "kc2spice.cli.main": "EXAMPLES app",
+    "kc2spice.cli.tables": "Caller print_result",
+    "kc2spice.core": "cache laws packages progress quantities",
+    "kc2spice.core.cache": "load_or_build",
+    "kc2spice.core.domains": (
+        "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE across_of domain_of"
+    ),
+    "kc2spice.core.equality": "have_same_content",
+    "kc2spice.core.errors": (
+        "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError"
+    ),
+    "kc2spice.core.extras": "LIBRARIES import_optional",
+    "kc2spice.core.figure": "Curve Figure Map Panel",
+    "kc2spice.core.files": "stage_directory",
+    "kc2spice.core.magnets": "EMTable TEST_CURRENTS compute_test_forces current_products",
+    "kc2spice.core.memory": "available_bytes",
+    "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES mesh_errors",
+    "kc2spice.core.prefix": "format_quantity format_value_and_limit",
+    "kc2spice.core.progress": (
+        "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
+    ),
+    "kc2spice.core.quantities": (
+        "BOLTZMANN DEFAULT_TEMPERATURE Notch Ratio Section _parse_unit plausible_range_of "
+        "quantity submodel validate"
+    ),
+    "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
+    "kc2spice.core.untrusted_files": (
+        "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
+    ),
+    "kc2spice.core.waveforms": (
+        "PulseKeys RecordedWave Waveforms constant_waveform differentiate linear_waveform "
+        "pulse_waveform sine_waveform"
+    ),
+    "kc2spice.core.workspace": "Workspace",
+    "kc2spice.equations.scene_laws": "SceneLaws scene_laws with_laws",
+    "kc2spice.fem": "magnet_field materials",
+    "kc2spice.fem.body_keys": "Damping",
+    "kc2spice.fem.element_poling": "find_parents",
+    "kc2spice.fem.enrichment": "assemble_enrichment evaluate_shape_functions make_enrichment",
+    "kc2spice.fem.heat_conduction": (
+        "HeatSolid assemble_faces assemble_heat find_common_faces find_face_nodes "
+        "find_point_shares split_nodes"
+    ),
+    "kc2spice.fem.magnet_field": (
+        "LOWER SPHERE assemble_field compute_catch_table count_compared_positions"
+    ),
+    "kc2spice.fem.magnet_keys": "Catch Ring",
+    "kc2spice.fem.magnet_rings": (
+        "Ladder Winding _fit_power_series compare_rings current_loop divide_section reduce_to_loops"
+    ),
+    "kc2spice.fem.materials": "Material material",
+    "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh require_right_handed",
+    "kc2spice.fem.mesh_file": "measure_extent read_mesh",
+    "kc2spice.fem.recovery": "compute_energy_products",
+    "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares",
+    "kc2spice.fem.thermal_materials": (
+        "find_resistance_coefficient find_thermal_material load_thermal_library"
+    ),
+    "kc2spice.linalg": "factor pardiso processor",
+    "kc2spice.linalg.factor": "factorise_quasi_definite",
+    "kc2spice.linalg.quasidefinite": "QuasiDefinite find_supernodes",
+    "kc2spice.netlist": "deck",
+    "kc2spice.netlist.circuit": "Circuit Element Param Pin positive_parameter",
+    "kc2spice.netlist.deck": "Command Deck ac_command",
+    "kc2spice.netlist.edited_deck": "normalise_element read_edited_deck",
+    "kc2spice.netlist.expression": (
+        "Binary Choice Number Unary Writer evaluate_parameter literal_value parse_expression"
+    ),
+    "kc2spice.netlist.importer": "translate_circuit",
+    "kc2spice.netlist.include_scan": "read_checked_circuit read_included_netlist",
+    "kc2spice.netlist.library": (
+        "Header ReductionSummary Subcircuit join_comments parse_subcircuits read_lib"
+    ),
+    "kc2spice.netlist.lint": "find_wiring_mistakes require_valid_wiring",
+    "kc2spice.netlist.nodal": "NodalCircuit",
+    "kc2spice.netlist.prefixes": "read_parameter read_value with_prefix with_prefixes",
+    "kc2spice.netlist.printers": "dialect_registry",
+    "kc2spice.netlist.printers.dialect_registry": "deck_dialects dialect_names find_dialect",
+    "kc2spice.netlist.printers.lines": "wrap_card wrap_comments",
+    "kc2spice.netlist.printers.ngspice": "Printer",
+    "kc2spice.netlist.printers.plot_script": "write_plot_script",
+    "kc2spice.netlist.printers.verilog_a": "print_module",
+    "kc2spice.netlist.read": "read_cards",
+    "kc2spice.netlist.transforms": "make_array_deck with_parameters",
+    "kc2spice.netlist.translate": "translate_deck write_dialect_files write_symbol_files",
+    "kc2spice.parts.bodies": "_body_model _neglected bimorph disc langevin",
+    "kc2spice.parts.bodies._body_model": "describe_target scene_band",
+    "kc2spice.parts.bodies._body_ports": "inert_ports",
+    "kc2spice.parts.bodies._box": "number_of varied_keys with_values",
+    "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
+    "kc2spice.parts.bodies._linear_body": "LinearBody",
+    "kc2spice.parts.bodies._pictures": "OBLIQUE_SHIFT draw_deformed draw_modes",
+    "kc2spice.parts.bodies.bimorph": "BimorphKeys bimorph_body",
+    "kc2spice.parts.bodies.body": "BodyKeys device",
+    "kc2spice.parts.bodies.heat_body": "make_heat_device",
+    "kc2spice.parts.control.pid": "Control pid_subcircuit settling_time",
+    "kc2spice.parts.electronics._template": "Load opamp_subcircuit parameters",
+    "kc2spice.parts.electronics.driver_types": (
+        "Amplifier AmplifierKeys ChargeDrive ChargeKeys HalfBridge HalfBridgeKeys LinearDrive "
+        "LinearDriverKeys PwmDrive PwmKeys"
+    ),
+    "kc2spice.parts.electronics.two_terminal_types": "TABLE=TWO_TERMINAL_TABLE element",
+    "kc2spice.parts.electrostatics.gap": "count_film_branches",
+    "kc2spice.parts.magnetics": "moving_conductor ring_magnet_coils",
+    "kc2spice.parts.magnetics.moving_conductor": "MAX_RING_ERROR declare",
+    "kc2spice.parts.magnetics.moving_magnet": "demagnetising_factor",
+    "kc2spice.parts.magnetics.ring_magnet_coils": "coils_subcircuit",
+    "kc2spice.parts.mechanics": "mass",
+    "kc2spice.parts.mechanics._touching": "Pair find_separation ring_gaps",
+    "kc2spice.parts.mechanics.mass": "point_mass",
+    "kc2spice.parts.mechanics.sphere": "SphereKeys rigid_sphere",
+    "kc2spice.physics": "DeclaredPart branch coils contact law",
+    "kc2spice.physics.cards": "subcircuit_items",
+    "kc2spice.physics.contact": "Normal SPACING_NOTE declare_contact",
+    "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
+    "kc2spice.physics.law": "DeclaredLaw",
+    "kc2spice.physics.lookups": "TableFunction",
+    "kc2spice.physics.part": "declared_subcircuit",
+    "kc2spice.physics.symbolic": "evaluate_tree multiply_trees",
+    "kc2spice.pyspice": "subcircuit=pyspice_subcircuit",
+    "kc2spice.reference.equilibrium": "solve_operating_point",
+    "kc2spice.reference.fixed_step": "integrate_steps",
+    "kc2spice.reference.integrate": "Trajectory solve_transient",
+    "kc2spice.reference.small_signal": "LinearisedSystem solve_ac",
+    "kc2spice.reference.system": "assemble_system",
+    "kc2spice.report.charts": "render_figure",
+    "kc2spice.report.drawings": "describe_devices",
+    "kc2spice.report.figures": "draw_pngs",
+    "kc2spice.report.html": "PageSection write_page",
+    "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
+    "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
+    "kc2spice.rom": "pencil stability",
+    "kc2spice.rom.band": "elastic_modes find_band_end natural_band",
+    "kc2spice.rom.blocks": "block_model decouple_states",
+    "kc2spice.rom.branch_fit": "fit_one_port",
+    "kc2spice.rom.certification": "certify",
+    "kc2spice.rom.complex_constants": "ComplexConstants complex_constants_model",
+    "kc2spice.rom.constraints": "deflate_infinite_poles null_basis reduced_form",
+    "kc2spice.rom.enriched": "Orders last_change response time_errors",
+    "kc2spice.rom.error_estimate": "relative_error",
+    "kc2spice.rom.first_step": "intermediate_model",
+    "kc2spice.rom.free_body": "find_free_body",
+    "kc2spice.rom.heat_network": "FosterNetwork HeatLadder heat_ladder",
+    "kc2spice.rom.instability": "explain_instability",
+    "kc2spice.rom.io": "read_rom write_rom",
+    "kc2spice.rom.linear_model": "Certificate LinearModel Port with_potentials",
+    "kc2spice.rom.lossy_modes": "assemble_oscillators relaxing_oscillator viscous_oscillator",
+    "kc2spice.rom.modal": (
+        "Resonators chip_response fit_foster_network make_highest_modes_massless mode_table "
+        "resonators"
+    ),
+    "kc2spice.rom.multiport": "fit_multiport",
+    "kc2spice.rom.network": "CircuitBranch ParallelBranches parallel_branches",
+    "kc2spice.rom.parametric": "ParameterAxis modal_transfer polynomials reduce_over_parameters",
+    "kc2spice.rom.pencil": "Pencil eliminate_massless",
+    "kc2spice.rom.ranges": "RangeTask",
+    "kc2spice.rom.reduce": "reduce_model",
+    "kc2spice.rom.reduced_basis": "Task",
+    "kc2spice.rom.reductors": "registry",
+    "kc2spice.rom.reductors.balanced_truncation": "BalancedTruncation _gramian_root",
+    "kc2spice.rom.reductors.block_krylov": "BlockKrylov",
+    "kc2spice.rom.reductors.rational_krylov": "RationalKrylov",
+    "kc2spice.rom.reductors.response_pod": "ResponsePod",
+    "kc2spice.rom.response": "Response",
+    "kc2spice.rom.stability": "prove_stability",
+    "kc2spice.rom.structural_damping": "add_structural_damping constant_loss relaxing_stiffness",
+    "kc2spice.rom.surrogate": "make_surrogate",
+    "kc2spice.rom.transient_fit": "StepSamples fit_transient",
+    "kc2spice.rom.varying": "Varying reduce_over_ranges",
+    "kc2spice.rom.varying_io": "read_varying",
+    "kc2spice.scene": "parttype resolve",
+    "kc2spice.scene.axes": "describe_plan find_axes",
+    "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
+    "kc2spice.scene.checks": "Balance Check Gate Verdict require_passed",
+    "kc2spice.scene.compose": "describe_nets",
+    "kc2spice.scene.highest_frequency": "highest_frequency",
+    "kc2spice.scene.keys": "list_all_keys list_schema_keys",
+    "kc2spice.scene.load": "_make_scene load_scene",
+    "kc2spice.scene.model": (
+        "Build DeclaredScene GovernedScene JoinedScene PartType WiredScene find_flows scene_hash"
+    ),
+    "kc2spice.scene.part_reference": "describe_part_types",
+    "kc2spice.scene.parttype": "compute_pin_forces find_part_type load_part_types type_names",
+    "kc2spice.scene.resolve": "resolve_build",
+    "kc2spice.scene.results": "NOISE_WAVE",
+    "kc2spice.scene.rows": "Neglected SampledSource",
+    "kc2spice.scene.scene_file": "SceneFile list_gallery",
+    "kc2spice.scene.settings": "Rom",
+    "kc2spice.sim": "ngspice",
+    "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
+    "kc2spice.sim.output": "classify_log list_alterations read_raw",
+    "kc2spice.sim.shared": "run_shared",
+    "kc2spice.synthesis": "parameter_ranges realize",
+    "kc2spice.synthesis.emitted": "estimate_circuit_error require_circuit",
+    "kc2spice.synthesis.header": "part_header rom_comments",
+    "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
+    "kc2spice.synthesis.realize": "subcircuit",
+    "kc2spice.workflow": "bench decks noise_analysis reduce_files refine ringing",
+    "kc2spice.workflow.decks": "make_deck prepare_deck",
+    "kc2spice.workflow.export": "export_scene",
+    "kc2spice.workflow.methods": "compare_methods",
+    "kc2spice.workflow.metrics": "compute_metrics list_checks mean_frequency with_undecided",
+    "kc2spice.workflow.misfit": "estimate_covariance find_likely_cause rms_misfit",
+    "kc2spice.workflow.models": "build_models model_values name_subcircuits value_units",
+    "kc2spice.workflow.orders": "suggested_keys",
+    "kc2spice.workflow.reduce_files": "_load_scene_body export_rom first_deck reduce_file",
+    "kc2spice.workflow.refine": "measure_again",
+    "kc2spice.workflow.run": "complete_run run_scene",
+    "kc2spice.workflow.simulate": "run_simulation simulate_deck",
+    "kc2spice.workflow.sweep": "engine",
+    "kc2spice.workflow.sweep.engine": (
+        "RowStore columns dask_workers load_named_sweep local_workers make_sweep write_csv"
+    ),
+    "kc2spice.workflow.sweep.grid": "make_plan",
+    "kc2spice.workflow.sweep.point": "PointResult SceneText read_scene_text",
+    "kc2spice.workflow.time_step": "choose_largest_step",
+    "kc2spice.workflow.verify": "bodies",
+    "kc2spice.workflow.verify.bodies": "compare_responses",
+    "kc2spice.workflow.verify.full_models": "solve_full_models",
+    "kc2spice.workflow.verify.full_transient": "Difference",
+    "kc2spice.workflow.verify.law_solution": "solve_laws",
+    "kc2spice.workflow.verify.verify": (
+        "Solution gate_difference list_gate_checks metric_errors output_errors verify_scenes"
+    ),
+}
+
+
+def _list_homes():
+    """Yield the name in tests, the module, and the name in the module."""
+    for module, names in NAMES_BY_MODULE.items():
+        for name in names.split():
+            original, _, alias = name.partition("=")
+            yield alias or original, module, original
+
+
+HOMES = {name: (module, original) for name, module, original in _list_homes()}
+
+
+def __getattr__(name):
+    if name not in HOMES:
+        raise AttributeError(name)
+    module, original = HOMES[name]
+    home = import_module(module)
+    if hasattr(home, original):
+        return getattr(home, original)
+    return import_module(f"{module}.{original}")
