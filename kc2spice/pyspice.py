@@ -15,7 +15,7 @@ from kc2spice.netlist.library import Subcircuit
 Package = Literal["PySpice", "InSpice"]
 
 
-def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
+def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     """Return a part as a subcircuit of PySpice or InSpice.
 
     The result is for ``circuit.subcircuit(...)`` and ``circuit.X(name, part.name, *nodes)``.
@@ -40,15 +40,15 @@ def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     --------
     >>> from pathlib import Path
     >>> import kc2spice as kc
-    >>> from kc2spice.pyspice import subcircuit
+    >>> from kc2spice.pyspice import pyspice_subcircuit
     >>> cards = ["* lamp", ".subckt lamp plus minus", "R1 plus minus 6", ".ends lamp"]
     >>> _ = Path("lamp.lib").write_text("\\n".join(cards))
-    >>> lamp = subcircuit(kc.read_lib("lamp.lib")[0])
+    >>> lamp = pyspice_subcircuit(kc.read_lib("lamp.lib")[0])
     >>> lamp.name, lamp.external_nodes
     ('lamp', ('plus', 'minus'))
     """
     logging.getLogger(package).setLevel(logging.CRITICAL)  # its output also contains the message
-    parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit
+    parent = import_optional(f"{package}.Spice.Netlist", "pyspice_subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]
         """Part of kc2spice with the text of its library file."""

@@ -153,7 +153,7 @@ NAMES_BY_MODULE = {
     "kc2spice.physics.lookups": "TableFunction",
     "kc2spice.physics.part": "declared_subcircuit",
     "kc2spice.physics.symbolic": "evaluate_tree multiply_trees",
-    "kc2spice.pyspice": "subcircuit=pyspice_subcircuit",
+    "kc2spice.pyspice": "pyspice_subcircuit",
     "kc2spice.reference.equilibrium": "solve_operating_point",
     "kc2spice.reference.fixed_step": "integrate_steps",
     "kc2spice.reference.integrate": "Trajectory solve_transient",

@@ -6,12 +6,12 @@ from importlib import import_module
 import numpy as np
 
 from kc2spice.netlist import read_lib
-from kc2spice.pyspice import subcircuit
+from kc2spice.pyspice import pyspice_subcircuit
 
 client, library, *picture = sys.argv[1:]
 (chip,) = read_lib(library)
 circuit = import_module(f"{client}.Spice.Netlist").Circuit("impedance")
-circuit.subcircuit(subcircuit(chip, client))
+circuit.subcircuit(pyspice_subcircuit(chip, client))
 grounded = ("cathode", "base")
 nodes = [circuit.gnd if pin.name in grounded else pin.name for pin in chip.pins]
 circuit.X("chip", chip.name, *nodes)

@@ -3,7 +3,7 @@
 from PySpice.Spice.Netlist import Circuit
 
 import kc2spice as kc
-from kc2spice.pyspice import subcircuit
+from kc2spice.pyspice import pyspice_subcircuit
 
 for part in kc.deck("impact").parts:
     part.write(part.filename)
@@ -11,7 +11,7 @@ chip = kc.read_lib("impact_kick.lib")[0]
 print(chip)
 
 circuit = Circuit("chip behind a resistor")
-circuit.subcircuit(subcircuit(chip))
+circuit.subcircuit(pyspice_subcircuit(chip))
 circuit.PulseVoltageSource("drive", "in", 0, 0, 100, 10e-6, 1)  # never back within the run
 circuit.R("out", "in", "anode", 10)
 nodes = {"anode": "anode", "ring0": "top"}  # all other pins stay at ground or hang free

@@ -46,30 +46,31 @@ if TYPE_CHECKING:
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
-@overload
-def reduce(
-    model: AffineModel,
-    *,
-    tolerance: float,
-    band: tuple[float | str, float | str] | None = None,
-    norm: Norm | None = None,
-    solver: DirectSolver | str | None = None,
-) -> Varying: ...
+if TYPE_CHECKING:
 
+    @overload
+    def reduce(
+        model: AffineModel,
+        *,
+        tolerance: float,
+        band: tuple[float | str, float | str] | None = None,
+        norm: Norm | None = None,
+        solver: DirectSolver | str | None = None,
+    ) -> Varying: ...
 
-@overload
-def reduce(
-    model: LinearModel,
-    *,
-    tolerance: float | None = None,
-    order: int | None = None,
-    band: tuple[float | str, float | str] | None = None,
-    norm: Norm | None = None,
-    contact: bool = False,
-    method: str | Reductor | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    solver: DirectSolver | str | None = None,
-) -> LinearModel: ...
+    @overload
+    def reduce(
+        model: LinearModel,
+        *,
+        tolerance: float | None = None,
+        order: int | None = None,
+        band: tuple[float | str, float | str] | None = None,
+        norm: Norm | None = None,
+        contact: bool = False,
+        method: str | Reductor | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        solver: DirectSolver | str | None = None,
+    ) -> LinearModel: ...
 
 
 def reduce(

@@ -1,8 +1,8 @@
 """Bodies with meshes drawn at random, and their error estimates beside their errors.
 
 The errors are differences to meshes that are two and four times as fine, extrapolated from there.
-``python tests/physics/drawn_meshes.py [FIRST LAST]`` prints them with the effectivity, estimate
-over error, of draws 0 to 19 by default.
+``PYTHONPATH=tests python tests/physics/drawn_meshes.py [FIRST LAST]`` prints them with the
+effectivity, estimate over error, of draws 0 to 19 by default.
 """
 
 import sys

@@ -76,7 +76,8 @@ def circuits(tmp_path_factory):
 
 
 def environment(root):
-    source = str(Path(kc2spice.__file__).parents[1])
+    root_folder = Path(kc2spice.__file__).parents[1]
+    source = os.pathsep.join([str(root_folder), str(root_folder / "tests")])
     return os.environ | {"HOME": str(root / "home"), "PYTHONPATH": source, "LC_ALL": "C.UTF-8"}
 
 

@@ -10,12 +10,12 @@ from support import (
     SampledSource,
     SimulationError,
     opamp_subcircuit,
+    pyspice_subcircuit,
     rigid_sphere,
     run_deck,
     run_shared,
 )
 from support import declared_subcircuit as declared
-from support import pyspice_subcircuit as subcircuit
 
 
 def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):
@@ -70,8 +70,8 @@ def test_parts_are_pyspice_subcircuits(header):
 
     part = declared(header, "sphere", rigid_sphere(1e-5, 1e-3, 9.81), {})
     circuit = Circuit("a sphere in Python")
-    circuit.subcircuit(subcircuit(part))
-    circuit.subcircuit(subcircuit(opamp_subcircuit(header)))
+    circuit.subcircuit(pyspice_subcircuit(part))
+    circuit.subcircuit(pyspice_subcircuit(opamp_subcircuit(header)))
     circuit.X("ball", "sphere", "v", "bottom", "y", circuit.gnd, mass=2e-5)
     circuit.I("push", circuit.gnd, "v", 2e-5 * 9.81 + 2e-5)
     text = str(circuit)

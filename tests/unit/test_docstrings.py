@@ -22,7 +22,7 @@ NEEDED = {
 }
 PUBLIC = {name: getattr(kc, name) for name in kc.__all__}
 FUNCTIONS = {name: item for name, item in PUBLIC.items() if inspect.isfunction(item)}
-FUNCTIONS["pyspice.subcircuit"] = pyspice.subcircuit
+FUNCTIONS["pyspice.pyspice_subcircuit"] = pyspice.pyspice_subcircuit
 SECTION = re.compile(r"(?m)^(\w+)\n-+$")
 ENTRY = re.compile(r"(?m)^(\w+) : \S.*\n    \S")
 

@@ -20,9 +20,9 @@ from kc2spice.scene.model import DeclaredScene, Part
 Point: TypeAlias = tuple[Length, Length, Length]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-MESH_DESCRIPTION = (  # description of the key mesh
-    "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, .e, .step, "
-    ".stp or .brep"
+MESH_FIELD = Field(  # key mesh, which some bodies require
+    description="Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, "
+    ".exo, .e, .step, .stp or .brep"
 )
 
 
@@ -66,7 +66,7 @@ class GroupKeys(Section):
 class MeshKeys(FieldKeys):
     """Keys of a body from a mesh or CAD file."""
 
-    mesh: MeshFile | None = Field(None, description=MESH_DESCRIPTION)
+    mesh: Annotated[MeshFile | None, MESH_FIELD] = None
     unit: str | None = Field(
         None,
         description=(

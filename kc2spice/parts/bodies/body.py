@@ -49,7 +49,7 @@ from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, mater
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
-    MESH_DESCRIPTION,
+    MESH_FIELD,
     MeshFile,
     MeshKeys,
     Name,
@@ -243,7 +243,7 @@ class BodyKeys(MeshKeys):
     others. ``floating`` electrodes are equipotential and carry no charge.
     """
 
-    mesh: MeshFile = Field(description=MESH_DESCRIPTION)
+    mesh: Annotated[MeshFile, MESH_FIELD]
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="Material of each mesh group, a name or a table"
     )

@@ -1,6 +1,6 @@
-"""Random devices under error budgets: ``python tests/spice/hard_cases/budgets.py FIRST LAST``.
+"""Random devices under error budgets.
 
-Six families in turn. Each is run as ``kc2spice run`` runs it and judged by what shares no code with
+``PYTHONPATH=tests python tests/spice/hard_cases/budgets.py FIRST LAST`` runs them. Six families in turn. Each is run as ``kc2spice run`` runs it and judged by what shares no code with
 it: a chip's kick by an own integrator on all modes of the full matrices, a buzzer's current by a
 sparse solution on a finer mesh, a bimorph's step by 60 modes of that, and oscillators, rectifiers
 and voice coils by the plain equations of ``test_random_parts.py``. The budget holds, or the run

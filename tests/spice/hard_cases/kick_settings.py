@@ -1,4 +1,4 @@
-"""Random legal settings of the paper's scene: ``python kick_settings.py 0 200`` in this folder.
+"""Random legal settings of the paper's scene: ``PYTHONPATH=../.. python kick_settings.py 0 200``.
 
 Voltage, width, edge, penalty, density, set point, gains and damping (0.01 to 10 %) are drawn. Each
 run is solved, or reports that the sphere left the table of the catch. :func:`confirmed` holds a run
