@@ -60,9 +60,11 @@ def with_prefix(text: str) -> str:
         return "0"
     power = number.adjusted() // 3 * 3
     plain = SMALLEST_PLAIN <= abs(number) < LARGEST_PLAIN
+    powers = [k for k in ((0,) if plain else (power, power + 3)) if k in _PREFIX_LETTERS]
+    if not powers:
+        return text
     same = read_value(text), read_parameter(text)
-    spellings = (_spell_number(number, k) for k in ((0,) if plain else (power, power + 3)))
-    for spelled in chain.from_iterable(spellings):
+    for spelled in chain.from_iterable(_spell_number(number, k) for k in powers):
         if (read_value(spelled), read_parameter(spelled)) == same:
             return spelled
     return text
@@ -89,7 +91,7 @@ def _spell_number(number: Decimal, power: int) -> Iterator[str]:
     Further zeros may be rounded to another double.
     """
     mantissa = number.scaleb(-power).normalize()
-    if power in _PREFIX_LETTERS and abs(mantissa) >= SMALLEST_PLAIN:
+    if abs(mantissa) >= SMALLEST_PLAIN:
         text = f"{mantissa:f}"
         point = "" if "." in text else "."
         yield from (

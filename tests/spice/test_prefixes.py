@@ -81,7 +81,8 @@ def test_numbers_are_those_of_an_engineer():
 @pytest.mark.parametrize(
     ("text", "spelled"),
     [("PULSE(0.0 100.0 0.0005 2.49e-05)", "PULSE(0 100 500u 24.9u)"), ("EXTERNAL", "EXTERNAL"),
-     ("10", "10"), ("n1.5e-6", "n1.5e-6"), ("24.9u", "24.9u")],
+     ("10", "10"), ("n1.5e-6", "n1.5e-6"), ("24.9u", "24.9u"),
+     ("PULSE(1e999 1e-999 0)", "PULSE(1e999 1e-999 0)")],
 )  # fmt: skip
 def test_words_keep_what_is_no_number(text, spelled):
     assert with_prefixes(text) == spelled
