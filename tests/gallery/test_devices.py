@@ -244,6 +244,7 @@ def test_slower_drivers_kick_lower(results):
     assert speeds[20]["peak_current_a"] < 2
 
 
+@pytest.mark.slow
 def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     shutil.copy(EXAMPLE / "bracket.toml", tmp_path)
     runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))

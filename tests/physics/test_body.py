@@ -300,6 +300,7 @@ def plates(home, **changes):
     }, home)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_solids_that_share_no_nodes_are_refused_or_merged(tmp_path):
     """gmsh itself counts and removes the nodes that are twice there."""
     write(tmp_path / "plates.msh", stacked(PLATES), size=1, order=1)

@@ -23,6 +23,7 @@ def test_polarity_turns_the_ring_and_nothing_else() -> None:
     assert np.max(np.abs(other + c0)) < 5e-3 * np.max(np.abs(c0))
 
 
+@pytest.mark.slow
 def test_force_is_the_slope_of_flux_and_inductance() -> None:
     # Positions every 62.5 um so that the derivative of a spline is no limit.
     table = compute_catch_table(Catch(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS)

@@ -257,6 +257,7 @@ def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, 
         kc.fit(BUZZER, "disc", data, ["layers[0].thickness"], tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_other_parts_and_several_ports_are_refused():
     """A resonance that no value in the ranges reaches; two ports."""
     data = measured(BUZZER, "disc", {"layers[0].thickness": 0.3e-3}, (5e3, 30e3), 0.01, 8)

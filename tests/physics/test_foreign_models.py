@@ -188,6 +188,7 @@ CAMPAIGN = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "seed", "norm"),
     [*((kind, seed, "pointwise") for kind in QUICK for seed in QUICK[kind]), *CAMPAIGN],

@@ -129,6 +129,7 @@ def test_a_free_ceramic_block_needs_real_factors_only(ceramic, real_factors, nam
     assert rom.certificate.passive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clamped", [False, True])
 def test_large_ceramic_bodies_need_no_pivots(ceramic, monkeypatch, clamped):
     """A clamped one is proven definite by the pivots of its factor, without another factor."""

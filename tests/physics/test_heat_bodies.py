@@ -309,6 +309,7 @@ face = {{ of = "wire.temperature.face", take = "final" }}
     assert 70 + metrics["face"] == pytest.approx(417.9, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_orthotropic_bar_is_that_of_vm113(tmp_path):
     """A quarter of a bar of 4 by 2 inches cools from 500 degrees in air of 100 within 3 s."""
     length, width, depth = 2 / 12, 1 / 12, 1 / 36
@@ -395,6 +396,7 @@ def test_quadratic_elements_converge_with_the_fourth_power_of_their_size():
     assert errors[1] < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isothermal", [False, True], ids=["even flow", "one temperature"])
 def test_the_mesh_error_of_a_resistance_is_that_of_a_finer_mesh(isothermal):
     """Heat from a disc in a cylinder: half of the error to twice of it."""

@@ -132,6 +132,7 @@ def test_cylindrical_axes_far_away_are_cartesian_ones(tmp_path):
     assert np.diag(about) == pytest.approx(np.diag(plain), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["element", "points", "section"])
 def test_ring_poled_per_element_is_poled_radially(tmp_path, form):
     dimension = 2 if form == "section" else 3
@@ -183,6 +184,7 @@ def bend(home, poling, **changes):
     return device(BodyKeys.model_validate({**table, **changes}), home)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_bimorph_poled_by_file_is_that_of_two_groups(bender, refine):
     home, numbers, middles = bender
@@ -197,6 +199,7 @@ def test_bimorph_poled_by_file_is_that_of_two_groups(bender, refine):
     assert groups.facts["free_stroke_tip_m_per_v"] != pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_field_against_the_poling_of_each_element(bender):
     home, numbers, _ = bender
     write_table(home / "p.csv", COLUMNS, [(n, 0, 0, -1) for n in numbers])

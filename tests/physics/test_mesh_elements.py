@@ -66,6 +66,7 @@ def reference(tmp_path_factory):
     return body(home)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "order", "full"),
     [("hexahedra", 1, True), ("hexahedra", 2, False), ("hexahedra", 2, True),
@@ -104,6 +105,7 @@ def annulus(path, *, order=1, full=True, recombine=True):
     gmsh.finalize()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "full"), [(1, True), (2, False), (2, True)])
 def test_quadrilaterals_of_a_ring_agree_with_triangles(tmp_path, order, full):
     facts = []

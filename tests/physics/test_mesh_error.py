@@ -175,6 +175,7 @@ SLOW = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "finest"),
     [
@@ -218,6 +219,7 @@ def test_error_estimates_of_drawn_meshes_are_within_two_of_the_error(tmp_path, n
         assert word == "stroke" or estimate < 2 * (error + unsure), told
 
 
+@pytest.mark.slow
 def test_fields_of_a_quadratic_stack_are_recovered_layer_by_layer(tmp_path):
     """Of the first mode strain and field jump at electrodes; averages across them make the estimate
     eight times too large."""

@@ -52,6 +52,7 @@ def test_a_free_chip_moves_as_a_whole():
     assert shift @ M @ shift == pytest.approx(7700 * 3e-3**2 * 2e-3, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_usual_chip_glued_down():
     """Stroke and resonance as on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
     facts = make_stack(Chip(mounting="glued")).model.facts

@@ -62,6 +62,7 @@ def test_currents_in_a_sphere_die_away_as_in_closed_form():
     np.testing.assert_allclose(rates * MU_0 * a**2, roots**2, rtol=6e-3)
 
 
+@pytest.mark.slow
 def test_a_coil_over_a_plate_sees_the_integral_of_dodd_and_deeds():
     """C. V. Dodd, W. E. Deeds, J. Appl. Phys. 39 (1968) 2829, of a plate without end; the edge at
     six radii of the coil and 1000 rings change less than 4e-3."""
@@ -173,6 +174,7 @@ def test_a_coil_of_many_layers_has_its_inductance():
     assert coil.couple_winding(coil) == pytest.approx(1.6994e-6 * 30e-3 * 100**2, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("field", "mass", "top", "low"),
     [("coil", 1e-3, 25e-3, 1e-3), ("magnet", 0.3e-3, 6e-3, -3.5e-3)],

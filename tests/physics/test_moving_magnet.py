@@ -141,6 +141,7 @@ def test_a_range_that_meets_a_coil_or_a_magnet_is_refused_by_key(given, words, t
         kc.run(SCENE, tmp_path, overrides=given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["moving_magnet", "moving_conductor"])
 def test_the_height_of_a_body_is_that_of_its_centre_of_mass(kind):
     """Two equal coils as far above as below its middle do not push a conductor there, and push a

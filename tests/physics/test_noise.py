@@ -88,6 +88,7 @@ def test_equipartition(tmp_path, parts, output, total, unit):
     np.testing.assert_allclose(np.linalg.norm(added, axis=0), found.waves["noise"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_body_has_the_noise_of_its_dissipation(tmp_path):
     found = noise(tmp_path, BEAM, output="beam.tip", start=100, stop=3000, points=40)
     f = found.frequency[::6]

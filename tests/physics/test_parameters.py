@@ -370,6 +370,7 @@ def test_frequencies_may_cross_within_the_box():
         assert made.at({"k": k}).transfer(f) == pytest.approx(exact, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
     """Full models are solved at every frequency; the box is ten per cent of sizes, ten times of a
     loss, which is exact."""

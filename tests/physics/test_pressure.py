@@ -64,6 +64,7 @@ def body(name, cells=3):
     return compute_surface_compliance(chip, EVEN, cells)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["steel", "ceramic"])
 def test_rings_of_pressure_dent_as_on_a_half_space(name):
     E = STEEL if name == "steel" else modulus(material("THP51").C)
@@ -91,6 +92,7 @@ def force(law, depth):
     return sum(c * s ** (3 + k) for k, c in enumerate(law.coefficients))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spacing", "first", "error"), [(10e-6, 2e-6, 2.5e-3), (5e-6, 5e-7, 2e-3)])
 def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
     """From contacts some basis functions wide on: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error 1e-3

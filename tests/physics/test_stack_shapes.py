@@ -29,6 +29,7 @@ def stack(**keys):
     return make_stack(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "area", "layers", "error"),
     [

@@ -25,6 +25,7 @@ def bimorph(**more):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_capacitor_takes_its_share_of_the_charge_of_a_body():
     """``v = q / (C + C_body)`` with the charge q at a short and the free capacitance of a body."""
     scene = bimorph()

@@ -105,6 +105,7 @@ def test_a_film_is_blechs(branches, count, within):
         assert abs(found / exact - 1) < within
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("top", [100e3, 800e3])
 def test_the_branches_of_a_film_follow_from_the_band(top):
     """Damping and force are Blech's within the tolerance, 1 %, far above the cut-off too; a sum of

@@ -201,6 +201,7 @@ def test_a_film_leads_heat_away_as_the_closed_form():
     assert rises[1:] == pytest.approx(resistance, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_conductivity_joint_and_thickness_are_parameters_too():
     layers = [
         {"material": {"like": "copper", "conductivity": 400.0}, "thickness": 2e-3, "area": 1e-4,
@@ -364,6 +365,7 @@ def test_all_dialects_write_films_as_parameters(tmp_path, dialect):
         assert '"air"' in symbols.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranges", [True, False])
 def test_a_body_with_a_film_pin_is_verified_three_ways(tmp_path, ranges):
     module = MODULE if ranges else {key: MODULE[key] for key in MODULE if key != "rom"}

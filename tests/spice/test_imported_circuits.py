@@ -26,6 +26,7 @@ def compare(result, wave, exact, component, tolerance):
     assert np.abs(result.waves[wave] - values).max() < tolerance * span
 
 
+@pytest.mark.slow
 def test_a_boost_converter_with_ideal_diode_and_controlled_resistor(tmp_path):
     """Rser, R=, if(), nested subcircuits with parameters, .func, an epsilon, ratings and 4k7."""
     library = """* boost converter

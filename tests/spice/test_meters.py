@@ -156,6 +156,7 @@ pins = {{ out = "first.anode" }}
 {DISC}"""
 
 
+@pytest.mark.slow
 def test_two_bodies_in_series_take_half_the_current_of_one(tmp_path):
     """Each is the only neighbour of the other: neither tells the current into the other."""
     second = f'pins = {{ cathode = "second.anode" }}\n[second]\n{DISC}'

@@ -89,6 +89,7 @@ def test_settings_at_their_finest_have_an_error_too(tmp_path, chgtol):
     assert abs(result.metrics["x_final"] / exact - 1) < error < 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chgtol", [1e-8, 1e-14])
 def test_bench_states_the_error_of_settings_at_their_finest(tmp_path, chgtol):
     """The estimate of the scene as it is equals that of an error budget, run by run."""

@@ -1,9 +1,9 @@
 """Scenes of any parts, drawn with their pins and values, against plain equations of the test's own.
 
 ``PYTHONPATH=tests python tests/spice/test_random_parts.py FIRST LAST`` prints draw by draw: right,
-refused, off and said, SILENT. Each number is a scene of its own, families and analyses by turns, so that ranges can
-be resumed: transients with probes over windows, operating points, sweeps up, down and back,
-responses with their true maxima, noise.
+refused, off and said, SILENT. Each number is a scene of its own, families and analyses by turns, so
+that ranges can be resumed: transients with probes over windows, operating points, sweeps up, down
+and back, responses with their true maxima, noise.
 """
 
 import json

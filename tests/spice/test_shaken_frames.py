@@ -43,6 +43,7 @@ def beam(**parts):
     return {name: table for name, table in (scene | parts).items() if table is not None}
 
 
+@pytest.mark.slow
 def test_a_mass_is_shaken_with_its_body():
     """Steady state by the full model's matrices: ``(K + i w E - w^2 M) x = b a + c F`` of the body
     with the force ``F = -m (a - w^2 c'x)`` of the mass on it."""

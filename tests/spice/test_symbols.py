@@ -148,6 +148,7 @@ def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
     assert all(reference.startswith("TP") for reference, _ in named)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["buzzer_self", "harvester_bridge", "kick_and_catch"])
 def test_the_sheets_of_scenes_join_what_their_decks_join(name, tmp_path):
     built = device.built(load_scene(name), device.chip(), device.magnets(), others=True)

@@ -289,6 +289,7 @@ points = 3
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "passed"), [("", True), ('frequency = "1 kHz"', False)])
 def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_path):
     """Whatever the part's own key says."""
@@ -367,6 +368,7 @@ def test_probes_of_flows_and_powers_are_compared_by_any_of_their_names(name, tmp
     assert record["answers"].keys() == {"ngspice", "rom"}
 
 
+@pytest.mark.slow
 def test_probes_that_the_laws_do_not_contain_are_listed(tmp_path):
     scene = {
         "name": "beam",

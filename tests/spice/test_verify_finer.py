@@ -99,6 +99,7 @@ DISC = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("refine", "passed"), [(1, False), (3, True)])
 def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch):
     """The error of the resonance is one of the size of an element, squared: against a mesh of a
@@ -170,6 +171,7 @@ def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_pa
     assert height["passed"] is passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spacing", "passed"), [("20 um", False), ("10 um", True)])
 def test_verify_halves_the_basis_of_a_pressure(spacing, passed):
     scene = load_scene("impact", {"contact.shape": "pressure", "contact.spacing": spacing})

@@ -80,6 +80,7 @@ def test_tables_of_many_forms_say_the_same(tmp_path):
         assert np.abs(read_measured(one).Y[:, 0, 0] / Y - 1).max() < 1e-6, one.name
 
 
+@pytest.mark.slow
 def test_matlab_files_say_what_tables_say(tmp_path):
     """Real vectors under names of columns; complex ones, of several ports as MATLAB has them."""
     Y = admittance()

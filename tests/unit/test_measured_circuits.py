@@ -242,6 +242,7 @@ SLOW = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("circuit", [one_resonance, coil_with_leads, *SLOW])
 def test_last_digits_of_a_file_do_not_change_its_circuit(circuit):
     """Ten files with relative errors of 1e-9, of circuits with leads and of one without a finite
@@ -250,6 +251,7 @@ def test_last_digits_of_a_file_do_not_change_its_circuit(circuit):
     require_one_circuit(f, circuit(f))
 
 
+@pytest.mark.slow
 def test_last_digits_of_a_published_file_do_not_change_its_circuit():
     data = read_measured(Path(skrf.__file__).parent / "data" / "ro,1.s1p")
     require_one_circuit(data.f, data.Y[:, 0, 0])

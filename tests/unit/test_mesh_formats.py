@@ -62,6 +62,7 @@ def write_format(source, path):
     return "7", "9"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("splits", [0, 1])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_formats_give_the_mesh_and_groups_of_gmsh(tmp_path, suffix, splits):

@@ -300,6 +300,7 @@ WRITERS = (as_market, as_market_array, as_archive, as_matlab, as_boeing, as_dmig
            as_dmig_of_its_own, as_op4, as_op4_of_its_own, as_abaqus)  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", WRITERS)
 @pytest.mark.parametrize("stiffness", [COMPLEX, K * (1 + 0.03j)], ids=["several", "one"])
 def test_structural_damping_of_every_format(tmp_path, write, stiffness):

@@ -182,6 +182,7 @@ BUZZER = {
 }
 
 
+@pytest.mark.slow
 def test_threads_over_a_meshed_body_equal_the_serial_run():
     """Points with meshes and fields of their own, and points that share one build."""
     values = {

@@ -38,6 +38,7 @@ def solved(monkeypatch):
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dashpot", [0.0, 0.3])
 def test_five_tolerances_cost_at_most_a_fifth_more_than_one(dashpot, solved):
     model, band = kc.LinearModel(**sparse_chain(dashpot)), (0, 0.003)
@@ -214,6 +215,7 @@ def test_structural_damping_is_left_to_kc_reduce():
         kc.Reduction(lossy)
 
 
+@pytest.mark.slow
 def test_all_methods_are_compared_in_one_table(tmp_path):
     """States and estimates are those of each method alone; no files are written."""
     matrices = families.damped_chain(40, 0.3)

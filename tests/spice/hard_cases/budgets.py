@@ -1,6 +1,6 @@
-"""Random devices under error budgets.
+"""Random devices under error budgets: ``python tests/spice/hard_cases/budgets.py FIRST LAST``.
 
-``PYTHONPATH=tests python tests/spice/hard_cases/budgets.py FIRST LAST`` runs them. Six families in turn. Each is run as ``kc2spice run`` runs it and judged by what shares no code with
+Six families in turn. Each is run as ``kc2spice run`` runs it and judged by what shares no code with
 it: a chip's kick by an own integrator on all modes of the full matrices, a buzzer's current by a
 sparse solution on a finer mesh, a bimorph's step by 60 modes of that, and oscillators, rectifiers
 and voice coils by the plain equations of ``test_random_parts.py``. The budget holds, or the run
@@ -22,13 +22,13 @@ import numpy as np
 from scipy import signal, sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
-from support import SimulationError, UsageError, complete_run, load_scene
 
 import kc2spice as kc
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from drawn_devices import voice
 from hard_cases.modal_kick import Kick
+from support import SimulationError, UsageError, complete_run, load_scene
 from test_random_parts import Drawn, campaign, motion, patience, rectifier
 
 COUNT = 50

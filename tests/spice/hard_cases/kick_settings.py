@@ -1,4 +1,4 @@
-"""Random legal settings of the paper's scene: ``PYTHONPATH=../.. python kick_settings.py 0 200``.
+"""Random legal settings of the paper's scene: ``python kick_settings.py 0 200``.
 
 Voltage, width, edge, penalty, density, set point, gains and damping (0.01 to 10 %) are drawn. Each
 run is solved, or reports that the sphere left the table of the catch. :func:`confirmed` holds a run
@@ -18,12 +18,12 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
-from support import Clock, SimulationError, UsageError, complete_run, load_scene
 
 import kc2spice as kc
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from hard_cases.modal_kick import Kick
+from support import Clock, SimulationError, UsageError, complete_run, load_scene
 from test_random_parts import campaign, patience
 
 COUNT, SEED = 200, 43

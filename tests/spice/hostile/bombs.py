@@ -18,7 +18,7 @@ import numpy as np
 from scipy import io as scipy_io
 from scipy import sparse
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from hostile import files, readers
 
 HUGE = 2_000_000_000

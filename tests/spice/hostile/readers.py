@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from hostile import files, meshes
 
 CSV = b"0, 0\n1e-3, 1\n2e-3, 0\n"
