@@ -30,7 +30,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.figures import draw_pngs
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.sweep.engine import available_cores
+from kc2spice.workflow.sweep.workers import available_cores
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.

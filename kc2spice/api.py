@@ -587,7 +587,7 @@ class Table(tuple[dict[str, Any], ...]):
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV."""
-        from kc2spice.workflow.sweep.engine import write_csv
+        from kc2spice.workflow.sweep.row_store import write_csv
 
         write_csv({name: self[name] for name in self.columns}, Path(path))
         return Path(path)
@@ -699,9 +699,11 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.engine import available_cores, columns, run_points, sweep_of_plan
+    from kc2spice.workflow.sweep.engine import run_points, sweep_of_plan
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import Job, read_scene_text
+    from kc2spice.workflow.sweep.row_store import columns
+    from kc2spice.workflow.sweep.workers import available_cores
 
     _require_lists(values)
     if executor is None:

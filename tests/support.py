@@ -244,11 +244,11 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.run": "complete_run run_scene",
     "kc2spice.workflow.simulate": "run_simulation simulate_deck",
     "kc2spice.workflow.sweep": "engine",
-    "kc2spice.workflow.sweep.engine": (
-        "RowStore columns dask_workers load_named_sweep local_workers make_sweep write_csv"
-    ),
+    "kc2spice.workflow.sweep.engine": "load_named_sweep make_sweep",
     "kc2spice.workflow.sweep.grid": "make_plan",
     "kc2spice.workflow.sweep.point": "PointResult SceneText read_scene_text",
+    "kc2spice.workflow.sweep.row_store": "RowStore columns write_csv",
+    "kc2spice.workflow.sweep.workers": "dask_workers local_workers",
     "kc2spice.workflow.time_step": "choose_largest_step",
     "kc2spice.workflow.verify": "bodies",
     "kc2spice.workflow.verify.bodies": "compare_responses",

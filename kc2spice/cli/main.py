@@ -838,6 +838,7 @@ def _sweep(
     """
     from kc2spice.scene.overrides import expand_overrides
     from kc2spice.workflow.sweep import engine
+    from kc2spice.workflow.sweep.workers import available_cores, dask_workers, local_workers
 
     table = engine.table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
@@ -845,8 +846,8 @@ def _sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
     out = out or Path(f"{answer.scene.name}_sweep")
-    count = workers or engine.available_cores()
-    pool = engine.local_workers(count) if dask is None else engine.dask_workers(dask, count)
+    count = workers or available_cores()
+    pool = local_workers(count) if dask is None else dask_workers(dask, count)
     if not caller.quiet:
         print(answer.describe(), file=sys.stderr)
     result: dict[str, Any] = {

@@ -14,27 +14,21 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 from operator import itemgetter
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from skfem.mesh import Mesh
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
-from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
     CellBlock,
-    divide_cells,
     divide_faces,
     find_columns,
     find_edge_nodes,
@@ -42,12 +36,8 @@ from kc2spice.fem.mesh_cells import (
     make_quadratic_mesh,
     require_right_handed,
 )
-from kc2spice.fem.mesh_formats import (
-    MESHIO_READERS,
-    merge_file,
-    require_plain_content,
-    require_unv_elements,
-)
+from kc2spice.fem.mesh_formats import MESHIO_READERS, require_plain_content, require_unv_elements
+from kc2spice.fem.mesh_nodes import merge_nodes, require_joined
 
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
@@ -62,7 +52,6 @@ FILE_FORMATS = {
 MAX_FILE_BYTES = 2_000_000_000  # size of a file
 _HEAD_BYTES = 200  # bytes at the beginning of a file that identify its format
 LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
-COINCIDENCE_TOLERANCE = 1e-3  # distance of coincident nodes, relative to the shortest edge
 MILLIMETRE = 1e-3  # m, unit of converted STEP files
 # Accepted versions of .msh files; the following bytes distinguish text from binary numbers of
 # either byte order.
@@ -226,7 +215,7 @@ def measure_extent(path: Path) -> np.ndarray:
 
 
 def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
-    """Call a function of this module in a process with gmsh, on a copy of the file."""
+    """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a process, on a copy of the file."""
     file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
@@ -234,7 +223,7 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
 
     request = {**request, "file": file}
     try:
-        return call_in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
+        return call_in_child(f"kc2spice.fem.mesh_by_gmsh:{function}", request, write_copy)
     except ValueError as error:
         reader = "meshio" if path.suffix.lower() in MESHIO_READERS else "gmsh"
         problem = f"{reader} cannot read or mesh this file"
@@ -379,155 +368,6 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
     return UsageError(problem, where=where, expected=expected, hint=hint)
 
 
-def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Number the nodes (n,) so that nodes at most ``distance`` [m] apart are one.
-
-    Only nodes of elements are numbered.
-
-    Raises
-    ------
-    UsageError : the distance collapses an edge of an element.
-    """
-    from scipy.spatial import cKDTree  # imported here, because few meshes need it
-
-    used = _find_used_nodes(blocks)
-    pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
-    links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
-    _, label = connected_components(links, directed=False)
-    lowest = np.full(len(points), len(points))
-    np.minimum.at(lowest, label, np.arange(len(points)))
-    same = lowest[label]
-    cells = divide_cells(blocks)[0]
-    if (np.diff(np.sort(same[cells], axis=1), axis=1) == 0).any():
-        shortest = f"less than the shortest edge, {_shortest_edge(points, cells):.4g} m"
-        raise wrong(
-            "merge",
-            "the merge distance exceeds the shortest edge of an element",
-            f"{distance:g} m",
-            shortest,
-        )
-    return np.asarray(same)
-
-
-def _find_used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
-    """Return the nodes of all elements in ascending order."""
-    return np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
-
-
-def _shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
-    """Length of the shortest edge of triangles or tetrahedra."""
-    i, j = np.triu_indices(cells.shape[1], 1)
-    return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
-
-
-def require_joined(
-    points: np.ndarray,
-    blocks: Sequence[CellBlock],
-    owners: Mapping[str, np.ndarray],
-    where: str,
-) -> None:
-    """Reject solids that touch and share no nodes.
-
-    Such solids would not be connected.
-
-    ``points`` (n, d) [m], ``blocks`` of elements, ``owners`` the numbers of the elements of each
-    named group.
-
-    Raises
-    ------
-    UsageError : nodes at one place, or nodes of one piece on the surface of another.
-    """
-    # imported here, so that a scene without a mesh does not load it
-    from scipy.spatial import cKDTree
-
-    cells = divide_cells(blocks)[0]
-    near = COINCIDENCE_TOLERANCE * _shortest_edge(points, cells)
-    used = _find_used_nodes(blocks)
-    pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
-    expected = "one node for all elements that are joined there"
-    apart = "merge = 0 keeps them apart"
-    if len(pairs):
-        got = f"{len(pairs)} pairs of nodes at one place, "
-        got += _describe_nodes(points, pairs.ravel(), blocks, owners)
-        hint = f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}'
-        raise wrong(where, "solids touch but share no nodes", got, expected, hint)
-    strays = _nodes_on_other_pieces(points, cells, near)
-    if strays.size:
-        got = f"{strays.size} nodes on the surface of another piece, "
-        got += _describe_nodes(points, strays, blocks, owners)
-        hint = "fragment the solids before they are meshed, as occ.fragment of gmsh does; " + apart
-        raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
-
-
-def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
-    """Find nodes on the surface of another piece of the mesh.
-
-    The ``cells`` (k, d + 1) are triangles or tetrahedra.
-    """
-    from scipy.spatial import cKDTree
-
-    ends = np.array([cells[:, :-1].ravel(), cells[:, 1:].ravel()])
-    links = sparse.coo_array((np.ones(ends.shape[1]), ends), shape=(len(points),) * 2)
-    _, label = connected_components(links, directed=False)
-    piece = label[cells[:, 0]]
-    if (piece == piece[0]).all():
-        return np.empty(0, int)
-    omitted = [np.delete(cells, k, axis=1) for k in range(cells.shape[1])]
-    faces, count = np.unique(np.sort(np.concatenate(omitted), axis=1), axis=0, return_counts=True)
-    faces = faces[count == 1]
-    middle = points[faces].mean(axis=1)
-    reach = np.linalg.norm(points[faces] - middle[:, None], axis=-1).max(axis=1) + near
-    nodes = np.unique(faces)
-    around = cKDTree(points[nodes]).query_ball_point(middle, reach)
-    face = np.repeat(np.arange(len(faces)), list(map(len, around)))
-    node = nodes[np.fromiter(chain.from_iterable(around), int)]
-    other = label[faces[face, 0]] != label[node]
-    face, node = face[other], node[other]
-    return np.unique(node[_is_on_simplex(points[node], points[faces[face]], near)])
-
-
-def _is_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points (n, d) closer than ``near`` to their simplex.
-
-    The simplices are (n, corners, d).
-
-    The foot of the perpendicular is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``.
-    """
-    J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
-    arm = (places - simplices[:, 0])[:, :, None]
-    t = np.linalg.solve(J.transpose(0, 2, 1) @ J, J.transpose(0, 2, 1) @ arm)
-    away = np.linalg.norm((arm - J @ t)[:, :, 0], axis=1)
-    slack = near / np.linalg.norm(J, axis=1).min(axis=1)
-    inside = (t[:, :, 0] >= -slack[:, None]).all(axis=1) & (t.sum(axis=1)[:, 0] <= 1 + slack)
-    return np.asarray(inside & (away <= near))
-
-
-def _describe_nodes(
-    points: np.ndarray,
-    nodes: np.ndarray,
-    blocks: Sequence[CellBlock],
-    owners: Mapping[str, np.ndarray],
-) -> str:
-    """Describe the box of nodes in millimetres, and the groups of their elements."""
-    axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
-    spans = []
-    for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):
-        low, high = float(values.min()), float(values.max())
-        flat = high - low <= 1e-6 * np.abs(values).max(initial=0.0)
-        spans.append(f"{axis} = {low:.4g} mm" if flat else f"{axis} {low:.4g} … {high:.4g} mm")
-    touched = np.concatenate([np.isin(block.nodes, nodes).any(axis=1) for block in blocks])
-    names = [name for name, members in owners.items() if touched[members].any()]
-    return ", ".join(spans) + (f", groups {', '.join(sorted(names))}" if names else "")
-
-
-def _format_length(length: float) -> str:
-    """Format a length with one digit and a prefix."""
-    for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
-        if length >= factor:
-            return f"{length / factor:.1g} {unit}"
-    return f"{length / 1e-9:.1g} nm"
-
-
 def _measure_shares(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -555,226 +395,3 @@ def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
             expected="faces, curves or points of the elements that have a material",
         )
     return places
-
-
-ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-# largest distance of a face from a point that selects it, relative to the body's size
-PICK_TOLERANCE = 1e-6
-# Numbers of corners of the supported elements of each dimension.
-CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
-ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
-MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
-
-Picks = Mapping[str, Mapping[str, Any]]
-
-
-def extract_mesh(
-    file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
-) -> dict[str, np.ndarray]:
-    """Extract nodes, elements and physical groups of a file.
-
-    ``name`` is the user's name of the file.
-
-    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
-    by name: ``dimension``, points ``at``, corners of a ``box``.
-
-    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
-    corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
-    each block; ``numbers``, those of the elements in the file; ``group<k>``, numbers of such
-    elements or nodes (elements, corners); and ``record``, JSON: name and dimension of each group.
-    Triangles beside quadrilaterals repeat their last corner.
-
-    Raises
-    ------
-    UsageError : there is nothing to mesh, a selection is empty, or elements have an unsupported
-    shape.
-    """
-    with gmsh_session() as gmsh:
-        gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
-        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        _merge_file(gmsh, file, dimension)
-        if size is not None:
-            _mesh_cad(gmsh, size, dimension, picks)
-        for _ in range(splits):
-            gmsh.model.mesh.refine()
-        arrays = _collect_arrays(gmsh, dimension, name)
-    if Path(file).suffix in MESHIO_READERS:  # meshio does not return the numbers of elements
-        arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
-    return arrays
-
-
-def measure_box(file: str) -> dict[str, np.ndarray]:
-    """Measure the lowest and highest coordinates, ``box`` (2, 3), of a file.
-
-    The coordinates are in the unit of the file.
-    """
-    with gmsh_session() as gmsh:
-        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        _merge_file(gmsh, file, 3)
-        _, places, _ = gmsh.model.mesh.getNodes()
-        points = places.reshape(-1, 3)
-        if len(points):
-            return {"box": np.array([points.min(axis=0), points.max(axis=0)])}
-        return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
-
-
-def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
-    """Add the content of a file to the model of gmsh."""
-    if Path(file).suffix in MESHIO_READERS:
-        merge_file(gmsh, file, dimension)
-    else:
-        gmsh.merge(file)
-
-
-def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
-    tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    order = np.argsort(tags)
-    ranked = tags[order]
-
-    def blocks_of(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return numbers and nodes of all elements in these entities."""
-        result = []
-        for entity in entities:
-            blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
-            for kind, numbers, nodes in blocks:
-                properties = gmsh.model.mesh.getElementProperties(kind)
-                shape, _, degree, count, places, corners = properties
-                if corners not in CORNER_COUNTS[d] or degree > 2:
-                    expected = "elements of order 1 or 2: " + ELEMENT_NAMES
-                    hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
-                    raise wrong(
-                        "mesh",
-                        "the mesh has an element type that is not supported",
-                        shape,
-                        expected,
-                        hint,
-                    )
-                at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
-                if len(ranked) == 0 or (ranked[at] != nodes).any():
-                    raise UsageError("an element has a node that does not exist", where=where)
-                local = np.reshape(places, (count, -1))[:, :d]
-                result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
-        return result
-
-    body = blocks_of(dimension, map(itemgetter(1), gmsh.model.getEntities(dimension)))
-    arrays = {"corners": np.array([block.corners for _, block in body], dtype=int)}
-    for k, (_, block) in enumerate(body):
-        arrays |= {f"cells{k}": block.nodes, f"local{k}": block.local}
-    numbers = np.concatenate([np.empty(0, int), *map(itemgetter(0), body)])
-    groups: list[tuple[str, int]] = []
-    for d, physical in gmsh.model.getPhysicalGroups():
-        members = blocks_of(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
-        if d == dimension:
-            selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
-            result = np.flatnonzero(np.isin(numbers, selected))
-        else:
-            result = _corner_nodes(map(itemgetter(1), members), max(CORNER_COUNTS[d]))
-        arrays[f"group{len(groups)}"] = result
-        groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
-    arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
-    arrays["numbers"] = numbers
-    return arrays
-
-
-def _corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
-    """Return the nodes (elements, width) at corners; the last corner fills the row."""
-    rows = [np.empty((0, width), int)]
-    for block in blocks:
-        columns = np.minimum(np.arange(width), block.corners - 1)
-        rows.append(block.nodes[:, columns])
-    return np.concatenate(rows)
-
-
-def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Join the solids of a CAD file, name its groups, and mesh it.
-
-    The elements are quadratic.
-    """
-    bodies = gmsh.model.getEntities(dimension)
-    if not bodies:
-        problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
-        hint = f"export the {ENTITY_NAMES[dimension]} of the body into this file"
-        raise UsageError(problem, where="mesh", hint=hint)
-    sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
-    if not elements <= MAX_ELEMENTS:
-        problem = "this element size gives too many elements"
-        got, hint = f"about {elements:.1g} of them", "write a larger size"
-        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS}", hint)
-    labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
-    if len(bodies) > 1:
-        _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
-        gmsh.model.occ.synchronize()
-        entities = set(gmsh.model.getEntities())
-        pieces_of, texts = dict(zip(bodies, pieces, strict=True)), labels
-        labels = {}
-        for entity, text in texts.items():
-            if entity[0] == dimension or entity in entities:
-                labels |= dict.fromkeys(pieces_of.get(entity, [entity]), text)
-    names: dict[tuple[str, int], list[int]] = {}
-    for (d, tag), text in labels.items():
-        if text:
-            names.setdefault((text, d), []).append(tag)
-    for name, pick in picks.items():
-        names[name, pick["dimension"]] = _select_entities(gmsh, name, **pick)
-    for (name, d), tags in names.items():
-        gmsh.model.addPhysicalGroup(d, tags, name=name)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-    gmsh.option.setNumber("Mesh.SaveAll", 1)
-    gmsh.model.mesh.generate(dimension)
-    gmsh.model.mesh.setOrder(2)
-    if dimension == 3:
-        gmsh.model.mesh.optimize("HighOrder")
-
-
-def _select_entities(
-    gmsh: ModuleType,
-    name: str,
-    dimension: int,
-    at: Sequence[Sequence[float]],
-    box: Sequence[Sequence[float]] | None,
-) -> list[int]:
-    """Select the entities that contain points ``at``, and those inside ``box``."""
-    everything = gmsh.model.getBoundingBox(-1, -1)
-    near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
-    result: list[int] = []
-    for point in at:
-        hits = [
-            tag
-            for d, tag in gmsh.model.getEntities(dimension)
-            if _passes_near(gmsh, d, tag, np.asarray(point), near)
-        ]
-        if not hits:
-            problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
-            expected = "a point of the geometry, in the file's unit here"
-            raise wrong(f"groups.{name}.at", problem, list(map(float, point)), expected)
-        result += hits
-    if box is not None:
-        low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
-        inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
-        result += map(itemgetter(1), inside)
-    if not result:
-        expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
-        raise UsageError(
-            "this group selects no part of the mesh", where=f"groups.{name}", expected=expected
-        )
-    return sorted(set(map(int, result)))
-
-
-def _passes_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Return whether an entity passes within ``near`` of a point.
-
-    The continuation of the entity beyond its boundary is ignored.
-    """
-    box = np.array(gmsh.model.getBoundingBox(d, tag))
-    if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):
-        return False
-    if d == 0:
-        return True
-    if d == 3:
-        return bool(gmsh.model.isInside(d, tag, point))
-    closest, parameter = gmsh.model.getClosestPoint(d, tag, point)
-    return bool(
-        np.linalg.norm(closest - point) <= near
-        and gmsh.model.isInside(d, tag, parameter, parametric=True)
-    )

@@ -7,46 +7,29 @@ stored in a database in any order, and then written as one sorted table.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
-import logging
-import os
-import signal
-import sqlite3
-import subprocess
-import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
-from itertools import chain, islice, repeat
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kc2spice.core import __version__
-from kc2spice.core.errors import MissingToolError, UsageError, unknown
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
-from kc2spice.core.waveforms import quote_csv_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
 from kc2spice.scene.model import Scene, scene_hash
@@ -70,284 +53,14 @@ from kc2spice.workflow.sweep.point import (
     run_point,
     subcircuit_parameters,
 )
-
-# Function that opens an executor, also after the loss of an earlier executor, and yields it with
-# the number of workers.
-Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
-RECONNECT_TIME = 60.0  # s, time limit for a lost scheduler to reconnect
-# Names of exceptions for lost workers and schedulers, so that Dask need not be imported.
-_LOST_EXCEPTIONS = {
-    "KilledWorker",
-    "FutureCancelledError",
-    "FuturesCancelledError",
-    "CommClosedError",
-    "FutureLostError",
-}
-
-
-_GROUP_SUFFIX = ".group"  # suffix of a file named after the process group of a worker
-
-
-def available_cores() -> int:
-    """Return the number of processors that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on Linux
-        return os.cpu_count() or 1
-
-
-def is_lost_worker(error: BaseException) -> bool:
-    """Return whether a call failed because its worker or scheduler was lost."""
-    kinds = {kind.__name__ for kind in type(error).__mro__}
-    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(
-        _LOST_EXCEPTIONS & kinds
-    )
-
-
-def local_workers(count: int) -> Workers:
-    """Return the workers: ``count`` processes of this machine."""
-    from multiprocessing import get_context
-
-    @contextmanager
-    def open_executor() -> Iterator[tuple[Executor, int]]:
-        with tempfile.TemporaryDirectory(
-            prefix="kc2spice-sweep-", ignore_cleanup_errors=True
-        ) as scratch:
-            pool = ProcessPoolExecutor(count, get_context("spawn"), _initialise_worker, (scratch,))
-            try:
-                yield pool, count
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
-                _end_orphans(Path(scratch))
-
-    return open_executor
-
-
-def _end_orphans(scratch: Path) -> None:
-    """Kill ngspice processes of killed workers, which would still write to ``scratch``."""
-    for mark in scratch.glob("*" + _GROUP_SUFFIX):
-        with suppress(ProcessLookupError, PermissionError):  # the process group has already ended
-            os.killpg(int(mark.stem), signal.SIGKILL)
-
-
-def _initialise_worker(scratch: str) -> None:
-    """Ignore Ctrl-C; if the parent is killed, end ngspice and delete files."""
-    from multiprocessing import connection, parent_process
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    tempfile.tempdir = scratch
-    parent, group = parent_process(), hasattr(os, "setpgrp")
-    if group:
-        os.setpgrp()
-        Path(scratch, f"{os.getpid()}{_GROUP_SUFFIX}").touch()
-
-    def watch_parent() -> None:
-        """Wait for the end of the parent, then end this worker."""
-        if parent is None:
-            return
-        connection.wait([parent.sentinel])
-        # another process deletes the files after all processes that might write them have ended
-        if group:
-            clean = 'kill -9 "-$0"; sleep 0.1; rm -rf -- "$1"'
-            words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
-            subprocess.Popen(words, start_new_session=True)
-        else:
-            os._exit(1)
-
-    threading.Thread(target=watch_parent, daemon=True).start()
-
-
-def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
-    """Return the workers of a Dask scheduler, or ``count`` on this machine for ``local``.
-
-    A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
-    """
-    limits = chain([patience], repeat(RECONNECT_TIME))
-
-    @contextmanager
-    def open_executor() -> Iterator[tuple[Executor, int]]:
-        distributed = import_optional("distributed", "--dask")
-        # Dask would print tracebacks although the scheduler reconnects
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        limit, target = next(limits), address
-        with ExitStack() as stack:
-            try:
-                if address == "local":
-                    options = {"threads_per_worker": 1, "dashboard_address": None}
-                    target = stack.enter_context(
-                        distributed.LocalCluster(n_workers=count, **options)
-                    )
-                client = distributed.Client(target, timeout=limit)
-                stack.callback(_disconnect, client)
-                client.wait_for_workers(1, timeout=limit)
-            except (OSError, TimeoutError, ValueError) as error:
-                raise MissingToolError(
-                    "no Dask scheduler with workers answers",
-                    where="--dask",
-                    got=address,
-                    expected="an address such as tcp://host:8786, or local",
-                    hint=f"{type(error).__name__}: {error}".splitlines()[0][:200],
-                ) from None
-            yield client.get_executor(pure=False, retries=0), sum(client.nthreads().values())
-
-    return open_executor
-
-
-def _disconnect(client: Any) -> None:
-    with suppress(Exception):  # the scheduler may have ended already
-        client.close(timeout=5)
-
-
-OK_STATUS = "ok"
-_OPEN_STATEMENTS = """
-pragma trusted_schema = off;
-pragma locking_mode = exclusive;  -- another process that writes here is refused at once
-pragma journal_mode = delete;
-pragma synchronous = off;         -- a row survives the end of this process, which is enough
-begin exclusive;
-create table if not exists sweep (digest text);
-create table if not exists row (point integer primary key, outcome text);
-commit;
-"""
-_OUTCOME_ADAPTER = TypeAdapter(PointResult)
-
-
-class RowStore:
-    """Results of the points in an SQLite file, in which each row is complete or missing.
-
-    ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
-
-    Raises
-    ------
-    UsageError : another process writes to it, or it contains another sweep or other data.
-    """
-
-    def __init__(self, path: Path, points: int, digest: str) -> None:
-        self.path, self.outcomes, self.failed = path, dict[int, PointResult](), set[int]()
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            raise UsageError(
-                "this file is not a results file of a sweep", where=str(path), hint="remove it"
-            )
-        try:
-            self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
-            self._rows.executescript(_OPEN_STATEMENTS)
-            (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
-            if stored is None:
-                self._rows.execute("insert into sweep values (?)", (digest,))
-            for point, text in self._rows.execute("select * from row") if stored == digest else ():
-                if point not in range(points):
-                    raise ValueError(f"point {str(point)[:80]!r}")
-                self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
-        except (sqlite3.Error, ValueError) as error:
-            hint = "remove it: what it held is run again"
-            message = (
-                "this file is damaged or cannot be written, because it does not contain "
-                "the rows of this sweep"
-            )
-            if "locked" in str(error):
-                message, hint = (
-                    "another sweep is writing to this directory",
-                    "wait for it, or choose another",
-                )
-            got = str(error).splitlines()[0][:200]
-            raise UsageError(message, where=str(path), got=got, hint=hint) from None
-        if stored not in (None, digest):
-            raise UsageError(
-                "this directory contains the results of another sweep",
-                where=str(path.parent),
-                got=f"plan {stored}"[:80],
-                expected=f"plan {digest}",
-                hint="choose another --out, or delete this directory",
-            )
-
-    def record(self, point: int, outcome: PointResult) -> None:
-        """Write one row in place of an earlier one of the same point.
-
-        Raises
-        ------
-        UsageError : the disk is full, or the file cannot be written.
-        """
-        row = (point, json.dumps(asdict(outcome)))
-        try:
-            self._rows.execute("insert or replace into row values (?, ?)", row)
-        except sqlite3.Error as error:
-            hint = "the rows so far are kept: make room and give the same command again"
-            message = f"this file cannot be written: {error}"
-            raise UsageError(message, where=str(self.path), hint=hint) from None
-        self._write_row(point, outcome)
-
-    def _write_row(self, point: int, outcome: PointResult) -> None:
-        self.outcomes[point] = outcome
-        (self.failed.discard if outcome.failure is None else self.failed.add)(point)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._rows.close()
-
-
-def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
-    """Raise an error if a run lacks one of the metrics, or has no number for the table."""
-    known = {**outcome.metrics, **outcome.facts}
-    for name in names:
-        if name not in known:
-            raise unknown("the result has no number of this name", name, known, "--metric")
-    if not names and not outcome.metrics:
-        raise UsageError(
-            "this scene has no metric that is a number, so the table of the sweep is empty",
-            where=scene,
-            expected="a scene with metrics that are numbers, or with [probes]",
-            hint="use kc2spice run with --set to compute the curves of one point",
-        )
-
-
-def columns(
-    outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
-) -> dict[str, list[Any]]:
-    """Return the table: swept keys, ``metrics`` (by default all of the runs), ``status``.
-
-    A point without a number has None in this column.
-    """
-    rows = sorted(outcomes.items())
-    names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
-    table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
-    for point, outcome in rows:
-        numbers = {**outcome.facts, **outcome.metrics}
-        result = {name: numbers.get(name) for name in names} | plan.values(point)
-        why = outcome.failure
-        result["status"] = OK_STATUS if why is None else f"failed: {' '.join(why.split())}"
-        for name, value in result.items():
-            table[name].append(value)
-    return table
-
-
-def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write floats with all their digits, ``true`` and ``false``, and nothing for None.
-
-    Text that a spreadsheet would evaluate as a formula begins with an apostrophe.
-    """
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(map(quote_csv_cell, table))
-        for row in zip(*table.values(), strict=True):
-            writer.writerow(map(_csv_cell, row))
-
-
-def _csv_cell(value: Any) -> str | None:
-    if isinstance(value, str):
-        return quote_csv_cell(value)
-    return None if value is None else format_toml(value)
-
-
-def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write the table as Parquet; its numbers keep their type."""
-    arrow = import_optional("pyarrow", "--format")
-    parquet = import_optional("pyarrow.parquet", "--format")
-
-    empty = {name for name, column in table.items() if all(value is None for value in column)}
-    kinds = {name: arrow.float64() if name in empty else None for name in table}
-    arrays = {name: arrow.array(column, kinds[name]) for name, column in table.items()}
-    parquet.write_table(arrow.table(arrays), path)
-
+from kc2spice.workflow.sweep.row_store import (
+    RowStore,
+    columns,
+    require_columns,
+    write_csv,
+    write_parquet,
+)
+from kc2spice.workflow.sweep.workers import Workers, is_lost_worker
 
 WRITERS = {"csv": write_csv, "parquet": write_parquet}
 

@@ -1,0 +1,239 @@
+"""Arrays of a mesh or CAD file from gmsh, with groups of its entities; for a separate process."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.gmsh_session import gmsh_session
+from kc2spice.fem.mesh_cells import CellBlock
+from kc2spice.fem.mesh_formats import MESHIO_READERS, merge_file
+
+ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
+# largest distance of a face from a point that selects it, relative to the body's size
+PICK_TOLERANCE = 1e-6
+# Numbers of corners of the supported elements of each dimension.
+CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
+ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
+MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
+
+Picks = Mapping[str, Mapping[str, Any]]
+
+
+def extract_mesh(
+    file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
+) -> dict[str, np.ndarray]:
+    """Extract nodes, elements and physical groups of a file.
+
+    ``name`` is the user's name of the file.
+
+    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
+    by name: ``dimension``, points ``at``, corners of a ``box``.
+
+    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
+    corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
+    each block; ``numbers``, those of the elements in the file; ``group<k>``, numbers of such
+    elements or nodes (elements, corners); and ``record``, JSON: name and dimension of each group.
+    Triangles beside quadrilaterals repeat their last corner.
+
+    Raises
+    ------
+    UsageError : there is nothing to mesh, a selection is empty, or elements have an unsupported
+    shape.
+    """
+    with gmsh_session() as gmsh:
+        gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        _merge_file(gmsh, file, dimension)
+        if size is not None:
+            _mesh_cad(gmsh, size, dimension, picks)
+        for _ in range(splits):
+            gmsh.model.mesh.refine()
+        arrays = _collect_arrays(gmsh, dimension, name)
+    if Path(file).suffix in MESHIO_READERS:  # meshio does not return the numbers of elements
+        arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
+    return arrays
+
+
+def measure_box(file: str) -> dict[str, np.ndarray]:
+    """Measure the lowest and highest coordinates, ``box`` (2, 3), of a file.
+
+    The coordinates are in the unit of the file.
+    """
+    with gmsh_session() as gmsh:
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        _merge_file(gmsh, file, 3)
+        _, places, _ = gmsh.model.mesh.getNodes()
+        points = places.reshape(-1, 3)
+        if len(points):
+            return {"box": np.array([points.min(axis=0), points.max(axis=0)])}
+        return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
+
+
+def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
+    """Add the content of a file to the model of gmsh."""
+    if Path(file).suffix in MESHIO_READERS:
+        merge_file(gmsh, file, dimension)
+    else:
+        gmsh.merge(file)
+
+
+def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    order = np.argsort(tags)
+    ranked = tags[order]
+
+    def blocks_of(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
+        """Return numbers and nodes of all elements in these entities."""
+        result = []
+        for entity in entities:
+            blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
+            for kind, numbers, nodes in blocks:
+                properties = gmsh.model.mesh.getElementProperties(kind)
+                shape, _, degree, count, places, corners = properties
+                if corners not in CORNER_COUNTS[d] or degree > 2:
+                    expected = "elements of order 1 or 2: " + ELEMENT_NAMES
+                    hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
+                    raise wrong(
+                        "mesh",
+                        "the mesh has an element type that is not supported",
+                        shape,
+                        expected,
+                        hint,
+                    )
+                at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
+                if len(ranked) == 0 or (ranked[at] != nodes).any():
+                    raise UsageError("an element has a node that does not exist", where=where)
+                local = np.reshape(places, (count, -1))[:, :d]
+                result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
+        return result
+
+    body = blocks_of(dimension, map(itemgetter(1), gmsh.model.getEntities(dimension)))
+    arrays = {"corners": np.array([block.corners for _, block in body], dtype=int)}
+    for k, (_, block) in enumerate(body):
+        arrays |= {f"cells{k}": block.nodes, f"local{k}": block.local}
+    numbers = np.concatenate([np.empty(0, int), *map(itemgetter(0), body)])
+    groups: list[tuple[str, int]] = []
+    for d, physical in gmsh.model.getPhysicalGroups():
+        members = blocks_of(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
+        if d == dimension:
+            selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
+            result = np.flatnonzero(np.isin(numbers, selected))
+        else:
+            result = _corner_nodes(map(itemgetter(1), members), max(CORNER_COUNTS[d]))
+        arrays[f"group{len(groups)}"] = result
+        groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
+    arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
+    arrays["numbers"] = numbers
+    return arrays
+
+
+def _corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
+    """Return the nodes (elements, width) at corners; the last corner fills the row."""
+    rows = [np.empty((0, width), int)]
+    for block in blocks:
+        columns = np.minimum(np.arange(width), block.corners - 1)
+        rows.append(block.nodes[:, columns])
+    return np.concatenate(rows)
+
+
+def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
+    """Join the solids of a CAD file, name its groups, and mesh it.
+
+    The elements are quadratic.
+    """
+    bodies = gmsh.model.getEntities(dimension)
+    if not bodies:
+        problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
+        hint = f"export the {ENTITY_NAMES[dimension]} of the body into this file"
+        raise UsageError(problem, where="mesh", hint=hint)
+    sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+    elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
+    if not elements <= MAX_ELEMENTS:
+        problem = "this element size gives too many elements"
+        got, hint = f"about {elements:.1g} of them", "write a larger size"
+        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS}", hint)
+    labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
+    if len(bodies) > 1:
+        _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
+        gmsh.model.occ.synchronize()
+        entities = set(gmsh.model.getEntities())
+        pieces_of, texts = dict(zip(bodies, pieces, strict=True)), labels
+        labels = {}
+        for entity, text in texts.items():
+            if entity[0] == dimension or entity in entities:
+                labels |= dict.fromkeys(pieces_of.get(entity, [entity]), text)
+    names: dict[tuple[str, int], list[int]] = {}
+    for (d, tag), text in labels.items():
+        if text:
+            names.setdefault((text, d), []).append(tag)
+    for name, pick in picks.items():
+        names[name, pick["dimension"]] = _select_entities(gmsh, name, **pick)
+    for (name, d), tags in names.items():
+        gmsh.model.addPhysicalGroup(d, tags, name=name)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    gmsh.option.setNumber("Mesh.SaveAll", 1)
+    gmsh.model.mesh.generate(dimension)
+    gmsh.model.mesh.setOrder(2)
+    if dimension == 3:
+        gmsh.model.mesh.optimize("HighOrder")
+
+
+def _select_entities(
+    gmsh: ModuleType,
+    name: str,
+    dimension: int,
+    at: Sequence[Sequence[float]],
+    box: Sequence[Sequence[float]] | None,
+) -> list[int]:
+    """Select the entities that contain points ``at``, and those inside ``box``."""
+    everything = gmsh.model.getBoundingBox(-1, -1)
+    near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
+    result: list[int] = []
+    for point in at:
+        hits = [
+            tag
+            for d, tag in gmsh.model.getEntities(dimension)
+            if _passes_near(gmsh, d, tag, np.asarray(point), near)
+        ]
+        if not hits:
+            problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
+            expected = "a point of the geometry, in the file's unit here"
+            raise wrong(f"groups.{name}.at", problem, list(map(float, point)), expected)
+        result += hits
+    if box is not None:
+        low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
+        inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
+        result += map(itemgetter(1), inside)
+    if not result:
+        expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
+        raise UsageError(
+            "this group selects no part of the mesh", where=f"groups.{name}", expected=expected
+        )
+    return sorted(set(map(int, result)))
+
+
+def _passes_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
+    """Return whether an entity passes within ``near`` of a point.
+
+    The continuation of the entity beyond its boundary is ignored.
+    """
+    box = np.array(gmsh.model.getBoundingBox(d, tag))
+    if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):
+        return False
+    if d == 0:
+        return True
+    if d == 3:
+        return bool(gmsh.model.isInside(d, tag, point))
+    closest, parameter = gmsh.model.getClosestPoint(d, tag, point)
+    return bool(
+        np.linalg.norm(closest - point) <= near
+        and gmsh.model.isInside(d, tag, parameter, parametric=True)
+    )

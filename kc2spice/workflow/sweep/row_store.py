@@ -1,0 +1,171 @@
+"""Rows of a sweep: their store in a database, and their table as a CSV or Parquet file."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.extras import import_optional
+from kc2spice.core.waveforms import quote_csv_cell
+from kc2spice.scene.overrides import format_toml
+from kc2spice.workflow.sweep.grid import Plan
+from kc2spice.workflow.sweep.point import PointResult
+
+OK_STATUS = "ok"
+_OPEN_STATEMENTS = """
+pragma trusted_schema = off;
+pragma locking_mode = exclusive;  -- another process that writes here is refused at once
+pragma journal_mode = delete;
+pragma synchronous = off;         -- a row survives the end of this process, which is enough
+begin exclusive;
+create table if not exists sweep (digest text);
+create table if not exists row (point integer primary key, outcome text);
+commit;
+"""
+_OUTCOME_ADAPTER = TypeAdapter(PointResult)
+
+
+class RowStore:
+    """Results of the points in an SQLite file, in which each row is complete or missing.
+
+    ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
+
+    Raises
+    ------
+    UsageError : another process writes to it, or it contains another sweep or other data.
+    """
+
+    def __init__(self, path: Path, points: int, digest: str) -> None:
+        self.path, self.outcomes, self.failed = path, dict[int, PointResult](), set[int]()
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise UsageError(
+                "this file is not a results file of a sweep", where=str(path), hint="remove it"
+            )
+        try:
+            self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+            self._rows.executescript(_OPEN_STATEMENTS)
+            (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
+            if stored is None:
+                self._rows.execute("insert into sweep values (?)", (digest,))
+            for point, text in self._rows.execute("select * from row") if stored == digest else ():
+                if point not in range(points):
+                    raise ValueError(f"point {str(point)[:80]!r}")
+                self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
+        except (sqlite3.Error, ValueError) as error:
+            hint = "remove it: what it held is run again"
+            message = (
+                "this file is damaged or cannot be written, because it does not contain "
+                "the rows of this sweep"
+            )
+            if "locked" in str(error):
+                message, hint = (
+                    "another sweep is writing to this directory",
+                    "wait for it, or choose another",
+                )
+            got = str(error).splitlines()[0][:200]
+            raise UsageError(message, where=str(path), got=got, hint=hint) from None
+        if stored not in (None, digest):
+            raise UsageError(
+                "this directory contains the results of another sweep",
+                where=str(path.parent),
+                got=f"plan {stored}"[:80],
+                expected=f"plan {digest}",
+                hint="choose another --out, or delete this directory",
+            )
+
+    def record(self, point: int, outcome: PointResult) -> None:
+        """Write one row in place of an earlier one of the same point.
+
+        Raises
+        ------
+        UsageError : the disk is full, or the file cannot be written.
+        """
+        row = (point, json.dumps(asdict(outcome)))
+        try:
+            self._rows.execute("insert or replace into row values (?, ?)", row)
+        except sqlite3.Error as error:
+            hint = "the rows so far are kept: make room and give the same command again"
+            message = f"this file cannot be written: {error}"
+            raise UsageError(message, where=str(self.path), hint=hint) from None
+        self._write_row(point, outcome)
+
+    def _write_row(self, point: int, outcome: PointResult) -> None:
+        self.outcomes[point] = outcome
+        (self.failed.discard if outcome.failure is None else self.failed.add)(point)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._rows.close()
+
+
+def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
+    """Raise an error if a run lacks one of the metrics, or has no number for the table."""
+    known = {**outcome.metrics, **outcome.facts}
+    for name in names:
+        if name not in known:
+            raise unknown("the result has no number of this name", name, known, "--metric")
+    if not names and not outcome.metrics:
+        raise UsageError(
+            "this scene has no metric that is a number, so the table of the sweep is empty",
+            where=scene,
+            expected="a scene with metrics that are numbers, or with [probes]",
+            hint="use kc2spice run with --set to compute the curves of one point",
+        )
+
+
+def columns(
+    outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
+) -> dict[str, list[Any]]:
+    """Return the table: swept keys, ``metrics`` (by default all of the runs), ``status``.
+
+    A point without a number has None in this column.
+    """
+    rows = sorted(outcomes.items())
+    names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
+    table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
+    for point, outcome in rows:
+        numbers = {**outcome.facts, **outcome.metrics}
+        result = {name: numbers.get(name) for name in names} | plan.values(point)
+        why = outcome.failure
+        result["status"] = OK_STATUS if why is None else f"failed: {' '.join(why.split())}"
+        for name, value in result.items():
+            table[name].append(value)
+    return table
+
+
+def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
+    """Write floats with all their digits, ``true`` and ``false``, and nothing for None.
+
+    Text that a spreadsheet would evaluate as a formula begins with an apostrophe.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(quote_csv_cell, table))
+        for row in zip(*table.values(), strict=True):
+            writer.writerow(map(_csv_cell, row))
+
+
+def _csv_cell(value: Any) -> str | None:
+    if isinstance(value, str):
+        return quote_csv_cell(value)
+    return None if value is None else format_toml(value)
+
+
+def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
+    """Write the table as Parquet; its numbers keep their type."""
+    arrow = import_optional("pyarrow", "--format")
+    parquet = import_optional("pyarrow.parquet", "--format")
+
+    empty = {name for name, column in table.items() if all(value is None for value in column)}
+    kinds = {name: arrow.float64() if name in empty else None for name in table}
+    arrays = {name: arrow.array(column, kinds[name]) for name, column in table.items()}
+    parquet.write_table(arrow.table(arrays), path)
