@@ -252,12 +252,13 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.time_step": "choose_largest_step",
     "kc2spice.workflow.verify": "bodies",
     "kc2spice.workflow.verify.bodies": "compare_responses",
+    "kc2spice.workflow.verify.differences": (
+        "Solution gate_difference list_gate_checks metric_errors output_errors"
+    ),
     "kc2spice.workflow.verify.full_models": "solve_full_models",
     "kc2spice.workflow.verify.full_transient": "Difference",
     "kc2spice.workflow.verify.law_solution": "solve_laws",
-    "kc2spice.workflow.verify.verify": (
-        "Solution gate_difference list_gate_checks metric_errors output_errors verify_scenes"
-    ),
+    "kc2spice.workflow.verify.verify": "verify_scenes",
 }
 
 

@@ -1,0 +1,241 @@
+"""Differences between solutions of a scene: of gates, waves and metrics."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import starmap
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene.checks import Check, Gate
+from kc2spice.scene.model import Build
+from kc2spice.scene.results import collect_powers
+from kc2spice.workflow.metrics import compute_metrics
+from kc2spice.workflow.simulate import add_powers
+
+MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value
+REST_MOTION = 1e-9  # largest motion at rest due to rounding errors, relative to the size
+ZERO_CURRENT = 1e-150  # currents below are rounding errors of zero; the square underflows
+# smallest reference of a metric error, relative to the largest wave with its unit
+MIN_METRIC_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Waves of one solution path with their metrics, and the units of these."""
+
+    waves: Waveforms
+    metrics: Mapping[str, Any]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """Largest and rms error of one wave between two solutions, relative to the wave."""
+
+    pair: str
+    output: str
+    largest: float
+    rms: float
+
+
+def complete_solution(waves: Waveforms, build: Build) -> Solution:
+    """Return a solution with the powers and metrics that follow from its waves."""
+    known = {}
+    for name, terms in collect_powers(build, waves.data).items():
+        if all(term.names <= set(waves) for term in terms):
+            known[name] = terms
+    waves = add_powers(waves, known)
+    return Solution(waves, *compute_metrics(waves, build, partial=True))
+
+
+def list_gate_checks(
+    gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
+) -> tuple[list[Check], float | None]:
+    """Return a check for each gate of a pair of solutions, and the largest leading difference.
+
+    ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
+    gate applies to the metric of its part.
+    """
+    limits, leading = [], []
+    words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
+    for part, item in gates:
+        wave = f"{part}.{item.of}"
+        gate = replace(item, of=wave) if wave in exact.metrics else item
+        value = gate_difference(gate, ours, exact)
+        if value is None:
+            continue
+        if pair in gate.limits:
+            limits.append(Check(f"{gate.words}, {words}", value, gate.limits[pair], gate.unit))
+        if gate.leads and not math.isnan(value):
+            leading.append(value)
+    return limits, max(leading, default=None)
+
+
+def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
+    """Return the difference that a gate limits.
+
+    The difference is nan if only one solution has a value. It is None if neither solution has a
+    value, such as the launch velocity of a body that never leaves.
+    """
+    if gate.of in exact.metrics:
+        a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
+        if a is None or b is None:
+            return None if a is b else math.nan
+        return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
+    names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.of))
+    if not names:
+        return None
+    return _wave_difference(gate, ours.waves, exact.waves, names)
+
+
+def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]) -> float:
+    """Return the difference of the waves ``names`` by the measure of a gate."""
+    early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
+    pairs = []
+    for name in names:
+        _, a, b = align_wave(waves, exact, name)
+        pairs.append((a[early], b[early]))
+    if gate.measure == "relative":
+        return max(starmap(_relative_difference, pairs))
+    # points by waves
+    ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
+    if gate.measure == "spectral":
+        # imported here, because scipy loads slowly and every run imports this module
+        from kc2spice.rom.error_estimate import relative_error
+
+        return relative_error(ours, true)
+    largest = float(np.abs(ours - true).max())
+    if gate.measure == "absolute":
+        return largest
+    size = float(np.abs(true).max())
+    if gate.measure == "travel":
+        size = max(REST_MOTION * size, float(np.ptp(true, axis=0).max()))
+    # with a zero reference, any difference is infinite
+    return largest / size if size else math.inf if largest else 0.0
+
+
+def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest difference relative to the size of the same value of ``b``."""
+    size = np.abs(b)
+    loaded = size > MIN_REFERENCE_SHARE * size.max()
+    return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
+
+
+def align_wave(
+    waves: Waveforms, exact: Waveforms, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return common points of two solutions, and one wave of both at these points.
+
+    The points are those of the coarser solution, within the times that both cover.
+    """
+    if "time" not in waves:
+        return np.arange(float(waves[name].size)), waves[name], exact[name]
+    t, s = np.unique(waves["time"]), np.unique(exact["time"])
+    times = t if t.size <= s.size else s
+    times = times[(times >= max(t[0], s[0])) & (times <= min(t[-1], s[-1]))]
+    return times, _interpolate_wave(times, waves, name), _interpolate_wave(times, exact, name)
+
+
+def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
+    """Interpolate a wave at ``times``.
+
+    A displacement with a known velocity is interpolated by cubics, any other wave linearly.
+    """
+    t, unique = np.unique(waves["time"], return_index=True)
+    stem, _, last = name.rpartition(".")
+    if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
+        from scipy.interpolate import CubicHermiteSpline
+
+        spline = CubicHermiteSpline(t, waves[name][unique], waves[f"{stem}.v"][unique])
+        return np.asarray(spline(times))
+    return np.interp(times, t, waves[name][unique])
+
+
+def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
+    """Return the error of every wave that both solutions contain.
+
+    Waves that are zero but for rounding errors are left out. The rms is an integral over time, so
+    that closely spaced points at a contact do not weigh more than others.
+    """
+    result = []
+    scale = next(iter(exact.data))
+    for name in exact.data:
+        if name == scale or name not in waves:
+            continue
+        points, a, b = align_wave(waves, exact, name)
+        size = float(np.abs(b).max(initial=0.0))
+        if size <= max(_rounding_speed(name, exact), ZERO_CURRENT):
+            continue
+        error = np.abs(a - b)
+        ratio = np.divide(_integrate_square(error, points), _integrate_square(b, points))
+        result.append(OutputError(pair, name, float(error.max()) / size, math.sqrt(float(ratio))))
+    return result
+
+
+def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
+    """Integrate the squared magnitude of ``values``.
+
+    The integral of a single point is its square.
+    """
+    if points.size > 1:
+        return float(np.trapezoid(np.abs(values) ** 2, points))
+    return float(np.abs(values).max() ** 2)
+
+
+def _rounding_speed(name: str, waves: Waveforms) -> float:
+    """Return the speed [m/s] that rounding errors give a body at rest; 0 for other waves."""
+    stem, _, last = name.rpartition(".")
+    position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
+    if last != "v" or position is None or "time" not in waves:
+        return 0.0
+    return REST_MOTION * float(np.abs(waves[position]).max()) / float(np.ptp(waves["time"]))
+
+
+def metric_errors(
+    ours: Solution, exact: Solution, units: Mapping[str, str]
+) -> Iterator[tuple[str, float | None]]:
+    """Yield the relative error of each metric that both solutions contain.
+
+    The reference is the size of the exact metric, or ``MIN_METRIC_SHARE`` of the largest wave of
+    its unit if that is larger. If both are zero, the error is the absolute difference.
+    """
+    for name, b in exact.metrics.items():
+        if name not in ours.metrics or isinstance(b, bool):
+            continue
+        a = ours.metrics[name]
+        if a is None or b is None:
+            if a is not b:
+                yield name, None
+            continue
+        try:
+            x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+        except (TypeError, ValueError):
+            continue
+        if x.shape != y.shape or x.size == 0:
+            continue
+        largest = _largest_of_unit(exact.units.get(name, ""), exact.waves, units)
+        base = max(float(np.abs(y).max()), MIN_METRIC_SHARE * largest)
+        yield name, float(np.abs(x - y).max()) / (base or 1.0)
+
+
+def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+    """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
+
+    The result is 0 without a unit, because no wave is comparable with a number such as a coupling
+    factor.
+    """
+    if not unit:
+        return 0.0
+    if unit == "s" and "time" in waves:
+        return float(np.ptp(waves["time"]))
+    largest = 0.0
+    for name, values in waves.data.items():
+        if units.get(name) == unit:
+            largest = max(largest, float(np.abs(values).max()))
+    return largest
