@@ -1,0 +1,225 @@
+"""Arguments and options of the command line.
+
+The key is the name of a parameter, or ``command.parameter`` if commands differ.
+"""
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from kc2spice.core.errors import UsageError
+
+
+def _complete_scene_names(incomplete: str) -> list[str]:
+    """Return the scene names that complete a text; the shell completes file names."""
+    names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
+    return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
+
+
+def _list_dialects() -> str:
+    """List the built-in dialects from their file names; importing the printers takes 0.2 s."""
+    folder = resources.files("kc2spice") / "netlist" / "printers" / "dialects"
+    stems = (item.name.removesuffix(".py") for item in folder.iterdir())
+    names = sorted(stem for stem in stems if stem.isidentifier() and stem[0] != "_")
+    return ", ".join(("ngspice", *names, "verilog-a"))
+
+
+def _check_directory(text: str) -> Path:
+    """Return the path of an output directory; raise an error for an empty text."""
+    if not text.strip():  # Path("") would be the current directory
+        raise UsageError(
+            "the name of the directory is empty",
+            where="--out",
+            got=repr(text),
+            expected="a directory",
+            hint="write --out . for the current directory",
+        )
+    return Path(text)
+
+
+def _make_out_option(default: str) -> Any:
+    """Return the option ``--out`` with the default directory ``default``."""
+    text = f"Directory to write into. Default: {default}."
+    return typer.Option("--out", "-o", metavar="DIR", parser=_check_directory, help=text)
+
+
+PARAMETERS = {
+    "scene": typer.Argument(
+        metavar="SCENE",
+        help="Name of a built-in scene, part number, or path of a TOML file.",
+        autocompletion=_complete_scene_names,
+    ),
+    "sweep.scene": typer.Argument(
+        metavar="SCENE", help="Name of a built-in scene or study, or path of a TOML file."
+    ),
+    "model": typer.Argument(
+        metavar="MODEL",
+        help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
+        ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
+        "SCENE:PART, a body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
+        ".mat); or the table of a thermal transient. "
+        "NAME.toml in the same folder contains ports, units and band.",
+    ),
+    "target": typer.Argument(
+        metavar="SCENE:PART", help="Scene and the name of the body to fit, separated by a colon."
+    ),
+    "data": typer.Argument(
+        metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
+    ),
+    "run.out": _make_out_option("./SCENE"),
+    "export.out": _make_out_option("./SCENE, or beside the reduced model"),
+    "verify.out": _make_out_option("./SCENE_verify"),
+    "reduce.out": _make_out_option("./NAME_rom"),
+    "fit.out": _make_out_option("./PART_fit"),
+    "bench.out": _make_out_option("./SCENE_bench"),
+    "sweep.out": _make_out_option("./SCENE_sweep"),
+    "set_": typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a key of the scene; VALUE is a number in SI units, or text with a unit. A "
+        "TOML file overrides all keys that it contains. Repeatable.",
+    ),
+    "sweep.set_": typer.Option(
+        "--set",
+        metavar="KEY=RANGE",
+        help="Vary a key of the scene, or param.PART.NAME of a subcircuit. RANGE is a:b:n, "
+        "log:a:b:n, x,y,z, normal(mu,sigma,n), uniform(a,b,n), or one value. Repeatable.",
+    ),
+    "trust": typer.Option(
+        "--trust",
+        help="Allow included netlists to run commands and access files. Lines that ngspice "
+        "ignores or replaces then give a warning.",
+    ),
+    "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
+    "quiet": typer.Option("--quiet", "-q", help="Print neither progress nor tables."),
+    "run.deck": typer.Option(
+        metavar="FILE", help="Run this edited netlist of the scene, with its metrics and checks."
+    ),
+    "verify.deck": typer.Option(
+        metavar="FILE", help="Verify this edited netlist of the scene without a new export."
+    ),
+    "verbose": typer.Option(
+        "--verbose", "-v", help="Print all tables of the report, not only the main results."
+    ),
+    "png": typer.Option("--png", help="Also write the figures of the report as PNG files."),
+    "keep": typer.Option("--keep", help="Keep the raw file and the log file of the simulator."),
+    "dialect": typer.Option(
+        metavar="DIALECT",
+        help=f"Simulator of the netlist: {_list_dialects()}, or a dialect of an installed package.",
+    ),
+    "export.tolerance": typer.Option(
+        metavar="X",
+        help="Error tolerance of every model reduction. Default: tolerance of the scene.",
+    ),
+    "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
+    "rom": typer.Option(
+        metavar="FILE",
+        help="Export this reduced model, a file that 'reduce' wrote, instead of a scene.",
+    ),
+    "dense": typer.Option(
+        "--dense",
+        help="With --rom: write one dense state-space system instead of one block for each mode.",
+    ),
+    "all_": typer.Option("--all", help="Verify every built-in scene."),
+    "full": typer.Option(
+        "--full",
+        help="Integrate full models over up to 400 000 steps, not 4 000, and solve large full "
+        "models at all frequencies.",
+    ),
+    "search": typer.Argument(
+        metavar="SEARCH",
+        help="Words to search for in the number, maker or device of a part. Default: all parts.",
+    ),
+    "keys": typer.Option("--keys", help="List every key that a scene may have."),
+    "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
+    "band": typer.Option(
+        metavar="F0 F1",
+        help="Lowest and highest frequency of the error estimate [Hz]. Default: the band in "
+        "NAME.toml or the scene, otherwise up to the fifth natural frequency.",
+    ),
+    "tolerance": typer.Option(
+        metavar="X", help="Largest relative error over the band. Default: 1e-4."
+    ),
+    "order": typer.Option(
+        metavar="Q",
+        help="Number of states of the reduced model; cannot be combined with --tolerance.",
+    ),
+    "method": typer.Option(
+        metavar="NAME",
+        help="Reduction method, such as 'response POD', or compare for a table of all methods. "
+        "Default: the result with fewer states of response POD and balanced truncation.",
+    ),
+    "solver": typer.Option(
+        metavar="NAME",
+        help="Direct solver of the reduction, such as pardiso, which needs pip install "
+        "'kc2spice[fast]'. Default: CHOLMOD and SuperLU.",
+    ),
+    "norm": typer.Option(
+        metavar="NORM",
+        help="Norm of the error: pointwise (relative at every frequency) or peak (relative to the "
+        "largest value in the band). Default: peak if all ports are signals.",
+    ),
+    "dc": typer.Option(
+        metavar="OHM",
+        help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open. "
+        "Default: extrapolation from the lowest frequencies.",
+    ),
+    "shunt": typer.Option(
+        metavar="OHM",
+        help="Resistance in series with the part during the measurement of a gain, such as '100 "
+        "Ohm'. Required for tables of gain and phase.",
+    ),
+    "power": typer.Option(
+        metavar="W",
+        help="Power that was switched on or off at the time zero of a thermal transient, such as "
+        "'2 W'. Required for tables of temperatures.",
+    ),
+    "network": typer.Option(
+        metavar="FORM",
+        help="Form of the network of one thermal port: foster or cauer. Default: foster.",
+    ),
+    "vary": typer.Option(
+        metavar="KEY[=LOW:HIGH]",
+        help="Key of the part that the fit varies, and its range in SI units. Default: 30 % "
+        "below and above the value of the scene; for losses, a tenth of the value to ten times "
+        "the value. Repeatable.",
+    ),
+    "error": typer.Option(
+        metavar="X", min=1e-12, max=1.0, help="Largest accepted relative error of the metrics."
+    ),
+    "bench.metric": typer.Option(
+        metavar="NAME",
+        help="Metric whose error is compared. Default: the key bench.metric of the scene, "
+        "otherwise all metrics that converge. Repeatable.",
+    ),
+    "sweep.metric": typer.Option(
+        metavar="NAME",
+        help="Column of the table: a metric, or the path of a number in result.json, such as "
+        "model.kick.resonance_short_hz. Default: all metrics. Repeatable.",
+    ),
+    "repeats": typer.Option(
+        metavar="N", min=1, help="Number of runs for each setting; the median CPU time is used."
+    ),
+    "zipped": typer.Option(
+        "--zip",
+        help="Vary all keys together, point by point. Default: every combination of values.",
+    ),
+    "latin": typer.Option("--latin", help="Sample the random keys by a Latin hypercube."),
+    "seed": typer.Option(metavar="N", min=0, help="Seed of the random numbers."),
+    "table_format": typer.Option(
+        "--format", metavar="FORMAT", help="Format of the table: csv or parquet."
+    ),
+    "workers": typer.Option(
+        metavar="N", min=1, help="Number of points computed in parallel. Default: number of cores."
+    ),
+    "dask": typer.Option(
+        metavar="ADDRESS", help="Dask scheduler that runs the points, or 'local'."
+    ),
+    "timeout": typer.Option(metavar="S", min=0.1, help="Longest time of one run of ngspice [s]."),
+    "retry_failed": typer.Option(
+        "--retry-failed", help="Repeat failed points. Default: repeat only interrupted points."
+    ),
+    "dry_run": typer.Option("--dry-run", help="Print the planned runs without running them."),
+}
