@@ -564,7 +564,8 @@ def _write_stored_quantity(
     """Write the stored quantity in units of its derivative at rest, and its rate."""
     scale = declaration.at_rest(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
-    unit = scale if scale != ZERO else Number("1e-12")
+    moved = _change_by_motion(declaration, stored) if scale == ZERO else scale
+    unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.name_power_series(stored), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
@@ -574,6 +575,15 @@ def _write_stored_quantity(
         amount = Binary("/", amount, Name(f"scale_{b.name}"))
     yield Element.behaviour(f"B{node}", node, b.minus, "V", format_tree(amount))
     yield from _write_differentiator(b.name, node, b.minus)
+
+
+def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
+    """Change of a stored quantity at rest by 1 um of the first displacement that changes it."""
+    for b in declaration.displacements:
+        slope = declaration.at_rest(differentiate_tree(stored, b.name))
+        if slope != ZERO:
+            return multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), slope)
+    return ZERO
 
 
 def _write_charge(

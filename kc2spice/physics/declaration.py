@@ -276,6 +276,7 @@ class Declaration:
     - ``base`` is the reference pin of inner nodes.
     - Without ``metered``, forces and currents have no nodes and sources of their own.
     - ``no_module`` is the reason why there is no compiled module.
+    - ``inner`` are nodes between branches, which are no pins of the part.
     - ``mesh`` is the error estimate of the mesh or rings behind its numbers, in words.
     """
 
@@ -315,6 +316,7 @@ class Declaration:
     metered: bool = True
     no_module: str = ""
     mesh: str = ""
+    inner: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = {*self.parameters, *self.variables, *self.signals}

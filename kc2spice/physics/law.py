@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import chain, product, starmap
+from itertools import chain, filterfalse, product, starmap
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,8 @@ class DeclaredLaw(Device):
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
-            result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=True))
+            inner = b.minus in self.declaration.inner
+            result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
             if b.less:
                 result.setdefault(b.less, LawPin(b.less, kinds[b.less]))
         for name in self.prescribes:
@@ -75,8 +76,9 @@ class DeclaredLaw(Device):
     @property
     def joins(self) -> tuple[tuple[str, str], ...]:
         """Pins of the part, each with its pin of the law."""
-        names = filter(LOOPS.__ne__, names_of(self.pins))
-        return tuple((pin, f"{self.name}.{pin}") for pin in names)
+        inner = {LOOPS, *self.declaration.inner}
+        pins = filterfalse(inner.__contains__, names_of(self.pins))
+        return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
     def prescribes(self) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, starmap
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, pairwise, starmap
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -140,7 +140,8 @@ class DeclaredPart(PartType[KeysT]):
                 slope = differentiate_tree(d.at_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.at_rest(slope), values):
                     stiff.append((b.plus, b.minus))
-        return Rest((*stiff, *flowing))
+        paths = (*stiff, *flowing)
+        return Rest(_merge_inner_paths(paths, d.inner) if d.inner else paths)
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
@@ -157,9 +158,9 @@ class DeclaredPart(PartType[KeysT]):
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.resolved_built_declaration(part, build)
         for b in d.branches:
-            if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
+            if b.plus and {_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
                 result[f"{part.name}.{b.across}"] = across_vector(build, part, b)
-            if not b.through:
+            if not b.through or (b.plus in d.inner and not b.flows):
                 continue
             result[f"{part.name}.{b.through}"] = flow_vector(build, part, b)
             if b in d.inertial_branches:
@@ -178,7 +179,10 @@ class DeclaredPart(PartType[KeysT]):
         n, d = part.name, self.resolved_built_declaration(part, build)
         results = {}
         for b in d.open_branches:  # a full model has other loops
-            results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
+            if b.plus not in d.inner:
+                results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
+            elif b.flows:
+                results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.name}")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.wave_difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
             if b in d.inertial_branches:
@@ -262,10 +266,29 @@ def _check_limits(
             yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
 
 
+def _node_name(build: Build, part: Part, pin: str) -> str:
+    """Return the net of a pin, or the inner node of this name."""
+    inner = f"x{part.name}.{pin}".lower()
+    return build.scene.nets.get((part.name, pin), inner)
+
+
 def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
     """Return the vector of the voltage from an inner node to a pin."""
-    low = build.net(part, pin)
+    low = _node_name(build, part, pin)
     return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
+
+
+def _merge_inner_paths(
+    paths: Iterable[tuple[str, str]], inner: Collection[str]
+) -> tuple[tuple[str, str], ...]:
+    """Return paths between pins, in place of paths by way of ``inner`` nodes."""
+    groups: list[set[str]] = []
+    for path in paths:
+        joined = [group for group in groups if not group.isdisjoint(path)]
+        groups = [group for group in groups if group.isdisjoint(path)]
+        groups.append(set(path).union(*joined))
+    ends = [sorted(group.difference(inner)) for group in groups]
+    return tuple(chain.from_iterable(map(pairwise, ends)))
 
 
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
@@ -284,6 +307,8 @@ def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
             result.setdefault(checked(speed), Pin(speed, VELOCITY.pin_unit, flow))
         quiet = speed or (pin not in loaded and d.domains[pin].kind_of_law != SIGNALS.name)
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
+    for node in d.inner:
+        result.pop(checked(node), None)
     for pin in d.outputs:
         result[checked(pin)] = Pin(pin, TRANSLATION.across.pin_unit, "-")
     if d.base:
@@ -346,7 +371,12 @@ def declared_subcircuit(
     d, pins = declaration, tuple(pins) or make_pins(declaration)
     ends = tuple(names_of(pins))
     linkages = find_linkages(d)
-    inner = [*map(checked, d.signals), *tables, *(linkages.current_names if linkages else ())]
+    inner = [
+        *map(checked, d.signals),
+        *d.inner,
+        *tables,
+        *(linkages.current_names if linkages else ()),
+    ]
     require_distinct([*ends, *inner], _INNER_NODE_PATTERN, where=name)
     keys = []
     for key in list_schema_keys(d.keys):
@@ -376,13 +406,15 @@ def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
     flow, quantity = f"i(v.x{part.name}.{meter_name(branch)})", branch.domain.through_variable
     if branch.moves:
         flow = _inner_voltage(build, part, force_node(branch), branch.minus)
-    ends = (branch.minus,), (branch.plus,)
+    known, ends = build.scene.nets, []
+    for pin in (branch.minus, branch.plus):
+        ends.append((pin,) if (part.name, pin) in known else ())
     return Vector(flow.lower(), quantity.factor, quantity.unit, *ends)
 
 
 def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
     """Return the vector of the voltage from ``plus`` to ``minus`` of a branch."""
-    plus, minus = build.net(part, branch.plus), build.net(part, branch.minus)
+    plus, minus = (_node_name(build, part, pin) for pin in (branch.plus, branch.minus))
     return format_voltage(plus, minus) or "v(0)"
 
 
