@@ -2,49 +2,58 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.figure import Figure
-from kc2spice.core.quantities import (
-    AIR_DENSITY,
-    SOUND_SPEED,
-    Frequency,
-    Inductance,
-    Length,
-    Mass,
-    MechanicalDamping,
-    Ratio,
-    Resistance,
-    Section,
-    si,
-)
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import round_to_digits
+from kc2spice.parts.datasheet._driver_circuit import (
+    COIL,
+    FRONT,
+    REAR,
+    SemiInductance,
+    SpeakerParameters,
+    baffle_air_mass,
+    motor,
+    moving_mass,
+)
+from kc2spice.parts.datasheet._driver_keys import (
+    AREA_KEYS,
+    DRIVER_PARAMETERS,
+    DRIVER_UNITS,
+    EXAMPLE_WOOFER,
+    LoudspeakerKeys,
+    make_relation,
+    thiele_small,
+)
+from kc2spice.parts.datasheet._ladders import (
+    CREEP_BAND,
+    SEMI_INDUCTANCE_BAND,
+    Ladder,
+    creep_ladder,
+    semi_inductance_ladder,
+)
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
-    NumberedKeys,
     NumberedPart,
     tolerance_note,
 )
-from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
-from kc2spice.physics import Declaration, DeclaredPart, current, displacement
+from kc2spice.parts.datasheet._stated_values import StatedValues
+from kc2spice.physics import Declaration, DeclaredPart, current
 from kc2spice.physics.cards import subcircuit_items
-from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.part import across_vector, declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
     Build,
+    DeclaredScene,
     GovernedScene,
     JoinedScene,
     Part,
@@ -53,135 +62,69 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Rest
+from kc2spice.scene.rows import Neglected, Rest, Vector
 
-AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
-# Unknowns, and a usual woofer of 17 cm where the iteration begins, in SI.
+RADIATION = "radiation"  # part type whose impedance contains the mass of the air
 # s, le / re of a data sheet without le: a corner frequency of 159 kHz, above audio
 INDUCTANCE_TIME = 1e-6
-EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
-Area = Annotated[float, si("m2")]
 
 
-class LoudspeakerKeys(ConductorKeys, NumberedKeys):
-    """Any values of the sheet that determine the driver; further values must agree with these.
+def _joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    """Return the acoustic pins that the scene joins."""
+    return tuple(
+        side for side in (FRONT, REAR) if side in part.pins or scene.is_target(part.name, side)
+    )
 
-    ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
-    (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
+
+def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
+    """Return the semi-inductance from the keys, None without one.
+
+    Raises
+    ------
+    UsageError : a key without effect.
     """
-
-    fs: Frequency | None = Field(None, gt=0, description="Resonance frequency in free air")
-    re: Resistance | None = Field(None, gt=0, description="DC resistance of the voice coil")
-    le: Inductance | None = Field(
-        None, gt=0, description="Inductance of the voice coil; by default 1 us * re"
-    )
-    qms: Ratio | None = Field(None, gt=0, description="Mechanical Q factor at fs")
-    qes: Ratio | None = Field(None, gt=0, description="Electrical Q factor at fs")
-    qts: Ratio | None = Field(None, gt=0, description="Total Q factor, qms * qes / (qms + qes)")
-    bl: Annotated[float, si("N/A")] | None = Field(
-        None, gt=0, description="Force factor B l, in N/A or T m"
-    )
-    mms: Mass | None = Field(None, gt=0, description="Moving mass including the air load")
-    cms: Annotated[float, si("m/N")] | None = Field(
-        None, gt=0, description="Compliance of the suspension"
-    )
-    rms: MechanicalDamping | None = Field(
-        None, gt=0, description="Mechanical resistance of the suspension"
-    )
-    sd: Area | None = Field(None, gt=0, description="Effective area of the cone")
-    vas: Annotated[float, si("m3")] | None = Field(
-        None, gt=0, description="Volume of air that has the compliance of the suspension"
-    )
-    zmax: Resistance | None = Field(None, gt=0, description="Impedance at fs, re (1 + qms/qes)")
-    xmax: Length | None = Field(
-        None, gt=0, description="Largest linear displacement in one direction"
-    )
-    tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
-        {}, description="Relative tolerance of each value by its key, such as fs = '15 %'"
-    )
+    keys = part.keys
+    if keys.ke is None and keys.rss is None:
+        if keys.leb is not None:
+            raise part.wrong(
+                "leb",
+                "this inductance belongs to a voice coil with a semi-inductance",
+                f"{keys.leb:g} H without ke and rss",
+                "leb together with ke or rss",
+                "rename leb to le, or enter ke",
+            )
+        return None
+    if keys.ke is None and keys.le is None:
+        raise part.wrong(
+            "rss",
+            "this resistance has no inductance in parallel",
+            f"{keys.rss:g} Ohm without le and ke",
+            "rss together with le or ke",
+            "enter le or ke, or delete rss",
+        )
+    values = (getattr(keys, name) or 0.0 for name in SemiInductance._fields)
+    return SemiInductance(*values)
 
 
-DRIVER_UNITS = {
-    "fs": "Hz", "re": "Ohm", "qms": "", "qes": "", "qts": "", "bl": "N/A", "mms": "kg",
-    "cms": "m/N", "rms": "N s/m", "sd": "m2", "vas": "m3", "zmax": "Ohm",
-}  # fmt: skip
-# Parameters of the netlist with their units and words.
-DRIVER_PARAMETERS = {
-    "fs": ("Hz", "resonance frequency in free air"),
-    "re": ("Ohm", "DC resistance of the voice coil"),
-    "qms": ("-", "mechanical Q factor"),
-    "qes": ("-", "electrical Q factor"),
-    "mms": ("kg", "moving mass with its air load"),
-}
-
-
-def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """All values of a sheet from ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd``."""
-    w = 1 / math.sqrt(driver["mms"] * driver["cms"])
-    qms = w * driver["mms"] / driver["rms"]
-    qes = w * driver["mms"] * driver["re"] / driver["bl"] ** 2
-    return dict(driver) | {
-        "fs": w / TWO_PI,
-        "qms": qms,
-        "qes": qes,
-        "qts": qms * qes / (qms + qes),
-        "vas": AIR_STIFFNESS * driver["sd"] ** 2 * driver["cms"],
-        "zmax": driver["re"] * (1 + qms / qes),
-    }
-
-
-def _relation(key: str, names: tuple[str, ...]) -> Relation:
-    area = {"sd": EXAMPLE_WOOFER["sd"]}
-    return lambda values: thiele_small(area | dict(zip(names, values.tolist(), strict=True)))[key]
-
-
-@dataclass(frozen=True)
-class SpeakerParameters:
-    """Parameters of a driver in SI."""
-
-    fs: float
-    re: float
-    qms: float
-    qes: float
-    mms: float
-    le: float
-
-
-def motor(params: tuple[Param, ...]) -> Declaration:
-    """Voice coil and suspension, without the mass of the cone."""
-    return Declaration(
-        "loudspeaker",
-        "loudspeaker from its Thiele-Small parameters",
-        Section,
-        (current("i", "plus", "minus"), displacement("x", "cone", "frame")),
-        energy="0.5*x^2/cms",
-        coenergy="i*bl*x + 0.5*le*i^2",
-        content="0.5*re*i^2 + 0.5*rms*x_rate^2",
-        given=params,
-        constants={
-            "omega": f"{TWO_PI!r}*fs",
-            "bl": "sqrt(omega*mms*re/qes)",
-            "cms": "1/(omega*omega*mms)",
-            "rms": "omega*mms/qms",
-        },
-        conductors=("i",),
-        temperature_coefficient=find_resistance_coefficient("copper"),
-        rating="not known; i^2 re heats the coil, and xmax limits the excursion",
-        sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
-    )
-
-
-def moving_mass(mass: float) -> Declaration:
-    """The cone, whose mass has nodes of its own in the netlist of the motor."""
-    return Declaration(
-        "cone",
-        "moving mass",
-        Section,
-        (displacement("m", "cone", "frame"),),
-        kinetic="0.5*mms*m_rate^2",
-        starts={"m": ("0", "0")},
-        given=(positive_parameter("mms", mass, "kg", "moving mass"),),
-    )
+def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
+    """Raise an error if a driver with acoustic pins lacks an area or moves more air than mass."""
+    if driver.sd is None or driver.mmd is None:
+        raise part.wrong(
+            "sd",
+            "the area of the cone is missing, which the acoustic pins need",
+            "no sd",
+            "the key sd, or vas with cms or with fs and mms",
+            'add for example  sd = "132 cm2"',
+        )
+    if driver.mmd <= 0:
+        load = driver.mms - driver.mmd
+        raise part.wrong(
+            "mms",
+            "the moving mass is smaller than the mass of the air that moves with the cone",
+            f"{1e3 * driver.mms:.4g} g",
+            f"more than {1e3 * load:.4g} g, 16/3 rho a^3 of a cone of {1e4 * driver.sd:.4g} cm2",
+            "check the units of mms and sd",
+        )
 
 
 class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPart[LoudspeakerKeys]):
@@ -224,16 +167,32 @@ stop = "1 kHz"
                     name,
                     f"one of {', '.join(stated)}",
                 )
-        names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or keys.sd or keys.vas)
-        known = [key for key in DRIVER_UNITS if key not in ("sd", "vas") or "sd" in names]
+        has_area = any(getattr(keys, key) for key in AREA_KEYS)
+        names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
+        known = [key for key in DRIVER_UNITS if key not in AREA_KEYS or has_area]
         start = np.array([stated.get(name, EXAMPLE_WOOFER[name]) for name in names])
-        relations = {key: _relation(key, names) for key in known}
+        relations = {key: make_relation(key, names) for key in known}
         tolerance = dict(keys.tolerance)
         values = StatedValues(part.name, stated, relations, start, DRIVER_UNITS, tolerance, {})
-        unknowns = zip(names, values.solve().tolist(), strict=True)
-        sizes = thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | dict(unknowns))
-        le = INDUCTANCE_TIME * sizes["re"] if keys.le is None else keys.le
-        return SpeakerParameters(**{key: sizes[key] for key in DRIVER_PARAMETERS}, le=le)
+        unknowns = dict(zip(names, values.solve().tolist(), strict=True))
+        sizes = thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | unknowns)
+        driver = SpeakerParameters(
+            **{key: sizes[key] for key in DRIVER_PARAMETERS},
+            le=INDUCTANCE_TIME * sizes["re"] if keys.le is None else keys.le,
+            sd=unknowns.get("sd"),
+            mmd=sizes["mmd"] if has_area else None,
+            creep=keys.creep or 0.0,
+            semi=_read_semi_inductance(part),
+        )
+        if driver.creep and driver.creep_resistance >= driver.rms:
+            raise part.wrong(
+                "creep",
+                "creep alone has more losses at fs than the suspension",
+                f"{keys.creep:g}, which is {driver.creep_resistance:.4g} N s/m at fs",
+                f"less than the mechanical resistance rms = {driver.rms:.4g} N s/m",
+                "enter a smaller creep, or a smaller qms",
+            )
+        return driver
 
     def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
         record = scene.record(part)
@@ -248,13 +207,29 @@ stop = "1 kHz"
             value = round_to_digits(getattr(driver, key))
             note = words + tolerance_note(value, tolerance.get(key))
             params.append(positive_parameter(key, value, unit, note))
-        params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))
-        return motor(tuple(params))
+        if driver.semi is None:
+            params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))
+        sides = _joined_sides(part, scene)
+        if sides:
+            _require_area(part, driver)
+        return motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Pins of the motor, of which the cone may stay free."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
+
+    def _cone(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
+        """Return the moving mass; radiation parts carry the mass of the air on their side."""
+        driver = self._parameters(part, scene)
+        sides = [
+            side
+            for side in _joined_sides(part, scene)
+            if RADIATION in scene.joined_types(part.name, side)
+        ]
+        if not sides or driver.sd is None:
+            return moving_mass(driver.mms)
+        return moving_mass(driver.mms, len(sides) * baffle_air_mass(driver.sd))
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
         return ("cone",)
@@ -266,16 +241,30 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
-        cone = subcircuit_items(moving_mass(self._parameters(part, build.scene).mms))
-        values = d.values(part.keys)
+        mass = self._cone(part, build.scene)
+        d = replace(d, given=(*d.given, *mass.given[1:]))  # mms is a parameter of the motor
+        cone, values = subcircuit_items(mass), d.values(part.keys)
         return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
+
+    def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
+        """Results of the declaration, and current and voltage of the whole part."""
+        result, n = dict(super().vectors(part, build)), part.name
+        if f"{n}.{COIL}" in result:
+            whole = current("i", "plus", "minus")
+            result[f"{n}.v"] = across_vector(build, part, whole)
+            result[f"{n}.i"] = replace(result[f"{n}.{COIL}"], leaves=("minus",))
+        return result
 
     def law(self, part: Part[LoudspeakerKeys], build: Build) -> laws.Equations:
         equations, n = super().law(part, build), part.name
-        mass = self._parameters(part, build.scene).mms
-        cone = DeclaredLaw(f"{n}_cone", moving_mass(mass), (mass,))
+        results = dict(equations.results)
+        if f"{n}.{COIL}" in results:
+            results[f"{n}.v"] = laws.wave_difference(f"{n}.plus", f"{n}.minus")
+            results[f"{n}.i"] = results[f"{n}.{COIL}"]
+        mass = self._cone(part, build.scene)
+        cone = DeclaredLaw(f"{n}_cone", mass, tuple(mass.defaults.values()))
         nets = tuple((f"{n}.{pin}", f"{n}_cone.{pin}") for pin in ("cone", "frame"))
-        return replace(equations, laws=(*equations.laws, cone), nets=nets)
+        return replace(equations, laws=(*equations.laws, cone), results=results, nets=nets)
 
     def checks(self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
         yield from super().checks(part, build, waves)
@@ -316,15 +305,50 @@ stop = "1 kHz"
 
             yield plot_impedances(part.name, result[0], {"": result[1]}, how)
 
+    def _describe_air(
+        self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
+    ) -> Iterator[str | Neglected]:
+        """Yield the place of the air mass on each side of the cone."""
+        load = f"{1e3 * baffle_air_mass(area):.3g} g"
+        for side in (FRONT, REAR):
+            if side not in sides:
+                yield Neglected(
+                    f"radiation at the {side}", f"mms includes {load} of air there", "resistance"
+                )
+            elif RADIATION in scene.joined_types(part.name, side):
+                yield f"{load} of mms, the air at the {side}, are replaced by the radiation part"
+            else:
+                yield f"{load} of mms are the air at the {side}, as in a baffle"
+
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | Neglected]:
         driver = self._parameters(part, scene)
         qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         peak = driver.re * (1 + driver.qms / driver.qes)
         yield f"fs {driver.fs:.4g} Hz, Qts {qts:.4g}, impedance at fs {peak:.4g} Ohm"
         yield Neglected("large strokes", "Bl and compliance are constant", "see part voice_coil")
-        yield Neglected("radiation", "mms includes the mass of the air", "resistance not estimated")
-        yield Neglected("eddy currents in the pole", "le is constant", "impedance above 1 kHz")
+        sides = _joined_sides(part, scene)
+        if not sides:
+            yield Neglected(
+                "radiation", "mms includes the mass of the air", "resistance not estimated"
+            )
+        elif driver.sd is not None:
+            yield from self._describe_air(part, scene, driver.sd, sides)
+        if driver.semi is None:
+            yield Neglected("eddy currents in the pole", "le is constant", "impedance above 1 kHz")
+        elif driver.semi.ke:
+            yield _describe_ladder("ke", semi_inductance_ladder(), SEMI_INDUCTANCE_BAND, 1 / TWO_PI)
+        if driver.creep:
+            yield _describe_ladder("creep", creep_ladder(), CREEP_BAND, driver.fs)
         yield from self.neglected(part, scene)
+
+
+def _describe_ladder(key: str, ladder: Ladder, band: tuple[float, float], unit: float) -> str:
+    """Describe size, band and error of a ladder, with frequencies of the band in ``unit`` [Hz]."""
+    low, high = (f"{unit * end:.3g}" for end in band)
+    return (
+        f"{key}: a ladder of {len(ladder.corners)} elements from {low} to {high} Hz, whose largest "
+        f"error is {ladder.error:.2%}"
+    )
 
 
 register(Loudspeaker())

@@ -1,0 +1,249 @@
+"""Circuit of a loudspeaker driver: voice coil, eddy currents, suspension, creep and cone.
+
+With the force factor B l and the velocity v of the cone ::
+
+    u = re i + leb di/dt + Z_semi i + B l v
+    B l i = mass dv/dt + (r0 + 1 / (s c(s))) v + sd (p_front - p_rear)
+    Z_semi = 1 / (1/(s le) + 1/(ke sqrt(s)) + 1/rss)
+    c(s) = c0 (1 + creep ln(1 + 2 pi fs / s))
+
+Sources: semi-inductance K. Thorborg, C. Futtrup, J. Audio Eng. Soc. 59 (2011) 612; creep
+M. H. Knudsen, J. G. Jensen, J. Audio Eng. Soc. 41 (1993) 3, in the form of J. Candy, C. Futtrup,
+which is passive at all frequencies. Ladders of :mod:`._ladders` approximate sqrt(s) and the
+logarithm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from kc2spice.core.quantities import AIR_DENSITY, Section
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
+from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.parts.datasheet._ladders import Ladder, creep_ladder, semi_inductance_ladder
+from kc2spice.parts.datasheet._resonator import TWO_PI
+from kc2spice.physics import Declaration, current, displacement
+from kc2spice.physics.declaration import Branch, branch
+
+FRONT, REAR = "front", "rear"
+SEMI_INDUCTANCE_KEYS = ("leb", "ke", "rss")
+AIR_NOTE = "part of mms that is the air load of radiation parts"
+_AMBIENT = "ambient"
+COIL = "coil"  # current of a voice coil between plus and the node of the eddy currents
+_EDDY, _CREEP = "eddy", "creep"  # inner nodes behind the voice coil, and within the suspension
+# ln(1 + 2 pi fs / s) at s = 2 pi fs j
+_CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
+
+
+def baffle_air_mass(area: float) -> float:
+    """Mass [kg] of the air that a piston in a baffle moves on one side at low frequencies.
+
+    ``8/3 rho a^3`` with the radius a (L. E. Kinsler et al., Fundamentals of Acoustics, 2000,
+    section 7.5).
+    """
+    return 8 / 3 * AIR_DENSITY * (area / math.pi) ** 1.5
+
+
+class SemiInductance(NamedTuple):
+    """Inductances [H], semi-inductance [H s^-1/2] and shunt resistance [Ohm]; 0 without one."""
+
+    leb: float
+    le: float
+    ke: float
+    rss: float
+
+
+@dataclass(frozen=True)
+class SpeakerParameters:
+    """Parameters of a driver in SI.
+
+    ``mmd`` is the mass without air and None if the area of the cone is not known.
+    """
+
+    fs: float
+    re: float
+    qms: float
+    qes: float
+    mms: float
+    le: float
+    sd: float | None = None
+    mmd: float | None = None
+    creep: float = 0.0
+    semi: SemiInductance | None = None
+
+    @property
+    def rms(self) -> float:
+        """Mechanical resistance of the suspension at fs [N s/m]."""
+        return TWO_PI * self.fs * self.mms / self.qms
+
+    @property
+    def creep_resistance(self) -> float:
+        """Mechanical resistance of the creep at fs [N s/m].
+
+        ``-Im / (2 pi fs cms Re)`` of ``1 + creep ln(1 - j)``, since ``1/(s c(s))`` has the
+        reactance of ``cms`` at fs.
+        """
+        grown = 1 + self.creep * _CREEP_AT_FS
+        return -grown.imag / grown.real * TWO_PI * self.fs * self.mms
+
+
+@dataclass
+class _Terms:
+    """Branches and terms of energies that effects contribute to the declaration of a driver."""
+
+    branches: list[Branch] = field(default_factory=list)
+    energy: list[str] = field(default_factory=list)
+    coenergy: list[str] = field(default_factory=list)
+    content: list[str] = field(default_factory=list)
+    constants: dict[str, str] = field(default_factory=dict)
+    params: list[Param] = field(default_factory=list)
+    inner: list[str] = field(default_factory=list)
+
+    def add_path(self, name: str, inductance: str, resistance: str) -> None:
+        """Add a resistance and an inductance in series behind the voice coil."""
+        self.branches.append(current(name, _EDDY, "minus"))
+        if inductance:
+            self.coenergy.append(f"0.5*{inductance}*{name}^2")
+        if resistance:
+            self.content.append(f"0.5*{resistance}*{name}^2")
+
+
+def _join_terms(*terms: str) -> str:
+    return " + ".join(terms)
+
+
+def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Ladder) -> None:
+    """Add the paths of eddy currents: ``le``, ``rss`` and those of ``1/(ke sqrt(s))``."""
+    terms.inner.append(_EDDY)
+    values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
+    notes = {
+        "leb": "inductance outside the pole piece",
+        "le": "inductance in parallel with the semi-inductance",
+        "ke": "semi-inductance of the pole piece",
+        "rss": "resistance of shorted turns in parallel with the semi-inductance",
+    }
+    for name, unit in values.items():
+        value = getattr(semi, name)
+        if value:
+            terms.params.append(positive_parameter(name, value, unit, notes[name]))
+    if semi.leb:
+        terms.coenergy.append(f"0.5*leb*{COIL}^2")
+    # The sum of conductances and of inverse inductances: two inductors in parallel would leave the
+    # distribution of a constant current undetermined.
+    conductances = [f"{ladder.constant!r}/ke"] * bool(semi.ke) + ["1/rss"] * bool(semi.rss)
+    inverses = [f"{ladder.integral!r}/ke"] * bool(semi.ke) + ["1/le"] * bool(semi.le)
+    terms.constants["r_fast"] = f"1/({_join_terms(*conductances)})"
+    terms.constants["l_slow"] = f"1/({_join_terms(*inverses)})"
+    terms.add_path("i_fast", "", "r_fast")
+    terms.add_path("i_slow", "l_slow", "")
+    if not semi.ke:
+        return
+    for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
+        # weight corner / (ke (s + corner)): the resistance ke / weight, and L = R / corner
+        terms.constants[f"r_eddy{k}"] = f"ke/{weight!r}"
+        terms.constants[f"l_eddy{k}"] = f"r_eddy{k}/{corner!r}"
+        terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
+
+
+def _add_creep(terms: _Terms, creep: float, ladder: Ladder) -> None:
+    """Add the suspension: the compliance c0 and the elements of creep in series.
+
+    The displacement of each inner node is the stretch of one element, a spring beside a damper.
+    """
+    terms.params.append(
+        positive_parameter("creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)")
+    )
+    real, imaginary = _CREEP_AT_FS.real, _CREEP_AT_FS.imag
+    terms.constants |= {
+        "grown": f"1 + {real!r}*creep",
+        "slipped": f"{imaginary!r}*creep",
+        "c0": "cms*grown/(grown*grown + slipped*slipped)",
+        "r0": "rms + slipped/(grown*omega*cms)",
+    }
+    nodes = [f"{_CREEP}{k}" for k in range(1, len(ladder.corners) + 1)]
+    terms.inner += nodes
+    stretches = [f"x{k}" for k in range(1, len(nodes) + 1)]
+    terms.energy.append(f"0.5*({' - '.join(['x', *stretches])})^2/c0")
+    for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
+        # c0 creep weight corner / (s + corner), with s relative to 2 pi fs
+        terms.constants[f"c_creep{k}"] = f"c0*creep*{weight!r}"
+        terms.constants[f"r_creep{k}"] = f"1/({corner!r}*omega*c_creep{k})"
+        terms.branches.append(displacement(f"x{k}", nodes[k - 1], "frame", f"force_x{k}"))
+        terms.energy.append(f"0.5*x{k}^2/c_creep{k}")
+        terms.content.append(f"0.5*r_creep{k}*x{k}_rate^2")
+
+
+def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
+    """Add acoustic pins: the cone is an ideal transformer with the ratio ``sd``.
+
+    The coenergy of a pressure is ``sd x p`` on the rear, and the negative of it on the front, where
+    the cone presses air out.
+    """
+    terms.params.append(positive_parameter("sd", area, "m2", "effective area of the cone"))
+    for side, sign in ((FRONT, "-"), (REAR, "")):
+        if side in sides:
+            pressure = f"p_{side}"
+            terms.branches.append(branch("pressure", pressure, side, _AMBIENT, f"flow_{side}"))
+            terms.coenergy.append(f"{sign}sd*x*{pressure}")
+
+
+def motor(
+    params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
+) -> Declaration:
+    """Voice coil, suspension and acoustic pins, without the mass of the cone."""
+    more, semi, creeps = _Terms(), driver.semi, driver.creep > 0
+    if semi:
+        _add_semi_inductance(more, semi, semi_inductance_ladder())
+    if creeps:
+        _add_creep(more, driver.creep, creep_ladder())
+    if sides and driver.sd:
+        _add_sound(more, sides, driver.sd)
+    coil = current(COIL, "plus", _EDDY) if semi else current("i", "plus", "minus")
+    i = coil.name
+    energy = [] if creeps else ["0.5*x^2/cms"]
+    coenergy = [f"{i}*bl*x"] if semi else ["i*bl*x", "0.5*le*i^2"]
+    content = [f"0.5*re*{i}^2", "0.5*r0*x_rate^2" if creeps else "0.5*rms*x_rate^2"]
+    cone = displacement("x", "cone", "frame")
+    electrical = [b for b in more.branches if b.flows]
+    others = [b for b in more.branches if not b.flows]
+    return Declaration(
+        "loudspeaker",
+        "loudspeaker from its Thiele-Small parameters",
+        Section,
+        (coil, *electrical, cone, *others),
+        energy=_join_terms(*energy, *more.energy),
+        coenergy=_join_terms(*coenergy, *more.coenergy),
+        content=_join_terms(*content, *more.content),
+        given=(*params, *more.params),
+        constants={
+            "omega": f"{TWO_PI!r}*fs",
+            "bl": "sqrt(omega*mms*re/qes)",
+            "cms": "1/(omega*omega*mms)",
+            "rms": "omega*mms/qms",
+            **more.constants,
+        },
+        conductors=(i,),
+        temperature_coefficient=find_resistance_coefficient("copper"),
+        rating="not known; i^2 re heats the coil, and xmax limits the excursion",
+        sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
+        inner=tuple(more.inner),
+    )
+
+
+def moving_mass(mass: float, air: float = 0.0) -> Declaration:
+    """The cone, whose mass has nodes of its own in the netlist of the motor.
+
+    ``air`` [kg] is the part of ``mass`` that is the air load of radiation parts.
+    """
+    radiating = [positive_parameter("air", air, "kg", AIR_NOTE)] if air else []
+    return Declaration(
+        "cone",
+        "moving mass",
+        Section,
+        (displacement("m", "cone", "frame"),),
+        kinetic="0.5*(mms - air)*m_rate^2" if air else "0.5*mms*m_rate^2",
+        starts={"m": ("0", "0")},
+        given=(positive_parameter("mms", mass, "kg", "moving mass"), *radiating),
+    )

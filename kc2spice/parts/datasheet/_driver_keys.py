@@ -1,0 +1,130 @@
+"""Keys of a loudspeaker, and the relations between the values of its data sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    AIR_DENSITY,
+    SOUND_SPEED,
+    Frequency,
+    Inductance,
+    Length,
+    Mass,
+    MechanicalDamping,
+    Ratio,
+    Resistance,
+    si,
+)
+from kc2spice.parts.datasheet._driver_circuit import baffle_air_mass
+from kc2spice.parts.datasheet._resonator import TWO_PI, NumberedKeys
+from kc2spice.parts.datasheet._stated_values import Relation
+from kc2spice.physics.conductors import ConductorKeys
+
+AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
+# Unknowns, and a usual woofer of 17 cm where the iteration begins, in SI.
+AREA_KEYS = ("sd", "vas", "mmd")  # keys whose relations contain the area of the cone
+EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
+Area = Annotated[float, si("m2")]
+
+
+class LoudspeakerKeys(ConductorKeys, NumberedKeys):
+    """Any values of the sheet that determine the driver; further values must agree with these.
+
+    ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
+    (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
+    """
+
+    fs: Frequency | None = Field(None, gt=0, description="Resonance frequency in free air")
+    re: Resistance | None = Field(None, gt=0, description="DC resistance of the voice coil")
+    le: Inductance | None = Field(
+        None,
+        gt=0,
+        description="Inductance of the voice coil, or with ke or rss the inductance in parallel "
+        "with these; by default 1 us * re, and with ke or rss no inductance",
+    )
+    leb: Inductance | None = Field(
+        None, gt=0, description="Inductance of the voice coil in series with ke, rss and le"
+    )
+    ke: Ratio | None = Field(
+        None,
+        gt=0,
+        description="Semi-inductance in Ohm s^(1/2), whose impedance is ke sqrt(2 pi f j); by "
+        "default the voice coil has a constant inductance",
+    )
+    rss: Resistance | None = Field(
+        None, gt=0, description="Resistance of shorted turns in parallel with ke and le"
+    )
+    qms: Ratio | None = Field(None, gt=0, description="Mechanical Q factor at fs")
+    qes: Ratio | None = Field(None, gt=0, description="Electrical Q factor at fs")
+    qts: Ratio | None = Field(None, gt=0, description="Total Q factor, qms * qes / (qms + qes)")
+    bl: Annotated[float, si("N/A")] | None = Field(
+        None, gt=0, description="Force factor B l, in N/A or T m"
+    )
+    mms: Mass | None = Field(None, gt=0, description="Moving mass including the air load")
+    mmd: Mass | None = Field(
+        None, gt=0, description="Moving mass without air: mms - 16/3 rho a^3, with sd = pi a^2"
+    )
+    cms: Annotated[float, si("m/N")] | None = Field(
+        None, gt=0, description="Compliance of the suspension"
+    )
+    rms: MechanicalDamping | None = Field(
+        None, gt=0, description="Mechanical resistance of the suspension"
+    )
+    sd: Area | None = Field(None, gt=0, description="Effective area of the cone")
+    vas: Annotated[float, si("m3")] | None = Field(
+        None, gt=0, description="Volume of air that has the compliance of the suspension"
+    )
+    zmax: Resistance | None = Field(None, gt=0, description="Impedance at fs, re (1 + qms/qes)")
+    creep: Ratio | None = Field(
+        None,
+        gt=0,
+        lt=1,
+        description="Relative increase of the suspension's compliance for each factor e to lower "
+        "frequencies; by default the compliance is constant. cms and rms hold at fs",
+    )
+    xmax: Length | None = Field(
+        None, gt=0, description="Largest linear displacement in one direction"
+    )
+    tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
+        {}, description="Relative tolerance of each value by its key, such as fs = '15 %'"
+    )
+
+
+DRIVER_UNITS = {
+    "fs": "Hz", "re": "Ohm", "qms": "", "qes": "", "qts": "", "bl": "N/A", "mms": "kg",
+    "cms": "m/N", "rms": "N s/m", "sd": "m2", "vas": "m3", "zmax": "Ohm", "mmd": "kg",
+}  # fmt: skip
+# Parameters of the netlist with their units and words.
+DRIVER_PARAMETERS = {
+    "fs": ("Hz", "resonance frequency in free air"),
+    "re": ("Ohm", "DC resistance of the voice coil"),
+    "qms": ("-", "mechanical Q factor"),
+    "qes": ("-", "electrical Q factor"),
+    "mms": ("kg", "moving mass with its air load"),
+}
+
+
+def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
+    """All values of a sheet from ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd``."""
+    w = 1 / math.sqrt(driver["mms"] * driver["cms"])
+    qms = w * driver["mms"] / driver["rms"]
+    qes = w * driver["mms"] * driver["re"] / driver["bl"] ** 2
+    return dict(driver) | {
+        "fs": w / TWO_PI,
+        "qms": qms,
+        "qes": qes,
+        "qts": qms * qes / (qms + qes),
+        "vas": AIR_STIFFNESS * driver["sd"] ** 2 * driver["cms"],
+        "zmax": driver["re"] * (1 + qms / qes),
+        "mmd": driver["mms"] - 2 * baffle_air_mass(driver["sd"]),
+    }
+
+
+def make_relation(key: str, names: tuple[str, ...]) -> Relation:
+    area = {"sd": EXAMPLE_WOOFER["sd"]}
+    return lambda values: thiele_small(area | dict(zip(names, values.tolist(), strict=True)))[key]

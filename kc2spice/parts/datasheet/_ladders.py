@@ -1,0 +1,130 @@
+"""Ladders of resistors and inductors, or of springs and dampers, for responses without poles.
+
+A response ``f(s)`` whose losses are spread over all frequencies, such as ``1/sqrt(s)`` or
+``ln(1 + 1/s)``, is approximated in a band by ::
+
+    f(s) = constant + integral / s + sum_k weight_k corner_k / (s + corner_k)
+
+All coefficients are positive, so that each term is a passive two-terminal network and so is their
+sum (R. M. Foster, Bell System Technical Journal 3 (1924) 259).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+_FIT_POINTS, _CHECK_POINTS = 120, 2000  # frequencies of the fit, and of the error estimate
+# band of semi-inductances [rad/s]: 5 Hz to 50 kHz, the audio band and an octave beyond
+SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
+# Branches of the ladder of semi-inductance: each further one divides the error by 2.3.
+SEMI_INDUCTANCE_BRANCHES = 9
+# band of suspension creep, relative to the creep frequency
+CREEP_BAND = 1e-3, 30.0
+CREEP_ELEMENTS = 6  # elements of the ladder of creep: each further one divides the error by 2.9
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Terms of a ladder, and its largest relative error in its band."""
+
+    corners: tuple[float, ...]
+    weights: tuple[float, ...]
+    constant: float
+    integral: float
+    error: float
+
+    def evaluate(self, s: np.ndarray) -> np.ndarray:
+        """Return the response (n,) at complex frequencies (n,)."""
+        corners, weights = np.array(self.corners), np.array(self.weights)
+        terms = weights * corners / (s[:, None] + corners)
+        return np.asarray(self.constant + self.integral / s + terms.sum(axis=1))
+
+
+def fit_ladder(
+    response: Callable[[np.ndarray], np.ndarray],
+    band: tuple[float, float],
+    count: int,
+    ends: bool,
+) -> Ladder:
+    """Fit a ladder to a response by least squares of the relative error.
+
+    The unknowns are logarithms, so that all coefficients are positive. The corners begin at a
+    geometric sequence over the band.
+
+    Parameters
+    ----------
+    response : callable
+        Response (n,) of complex frequencies ``s`` (n,).
+    band : pair of float
+        Lowest and highest angular frequency.
+    count : int
+        Number of terms with a corner.
+    ends : bool
+        Whether the ladder has the terms ``constant`` and ``integral / s``.
+
+    Returns
+    -------
+    Ladder
+        Coefficients and largest relative error in the band.
+
+    Examples
+    --------
+    >>> ladder = fit_ladder(lambda s: s**-0.5, (1.0, 1e4), 9, ends=True)
+    >>> print(f"{ladder.error:.4f}")
+    0.0016
+    """
+    from scipy.optimize import least_squares  # loads slowly
+
+    s = 1j * np.geomspace(*band, _FIT_POINTS)
+    target, corners = response(s), np.geomspace(*band, count)
+    start = [np.log(np.abs(response(1j * corners)) / 2), np.log(corners)]
+    if ends:
+        low, high = np.abs(response(1j * np.array(band)))
+        start.append(np.log([high / 3, low * band[0] / 3]))
+
+    def terms(x: np.ndarray) -> np.ndarray:
+        weight, corner = np.exp(x[:count]), np.exp(x[count : 2 * count])
+        columns = [weight * corner / (s[:, None] + corner)]
+        if ends:
+            constant, integral = np.exp(x[2 * count :])
+            columns += [np.full((len(s), 1), constant), integral / s[:, None]]
+        return np.hstack(columns) / target[:, None]
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        error = terms(x).sum(axis=1) - 1
+        return np.concatenate([error.real, error.imag])
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        columns, corner = terms(x), np.exp(x[count : 2 * count])
+        moved = columns[:, :count] * s[:, None] / (s[:, None] + corner)
+        by_all = np.hstack([columns[:, :count], moved, columns[:, count:]])
+        return np.concatenate([by_all.real, by_all.imag])
+
+    x = least_squares(residuals, np.concatenate(start), slopes, xtol=1e-12, ftol=1e-12).x
+    values = np.exp(x).tolist()
+    constant, integral = values[2 * count :] if ends else (0.0, 0.0)
+    ladder = Ladder(
+        tuple(values[count : 2 * count]), tuple(values[:count]), constant, integral, 0.0
+    )
+    check = 1j * np.geomspace(*band, _CHECK_POINTS)
+    error = float(np.abs(ladder.evaluate(check) / response(check) - 1).max())
+    return Ladder(ladder.corners, ladder.weights, constant, integral, error)
+
+
+@cache
+def semi_inductance_ladder() -> Ladder:
+    """Return the ladder of the admittance ``1/sqrt(s)`` of one semi-henry."""
+    return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
+
+
+@cache
+def creep_ladder() -> Ladder:
+    """Return the ladder of ``ln(1 + 1/s)``, the increase of a compliance by creep.
+
+    The frequency ``s`` is relative to the creep frequency.
+    """
+    return fit_ladder(lambda s: np.log(1 + 1 / s), CREEP_BAND, CREEP_ELEMENTS, ends=False)
