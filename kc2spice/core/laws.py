@@ -59,12 +59,14 @@ class Reading:
     """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
 
     ``terms`` are the pairs ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``, and
-    a current becomes a charge.
+    a current becomes a charge. ``rate`` multiplies an ac result by ``j omega``; other analyses do
+    not have this result.
     """
 
     terms: tuple[tuple[float, str], ...]
     constant: float = 0.0
     charge: bool = False
+    rate: bool = False
 
     @property
     def waves(self) -> tuple[str, ...]:

@@ -83,18 +83,26 @@ class Network:
         result = {}
         for name, item in self.readings.items():
             if waves.keys() >= {*item.waves}:
-                result[name] = _evaluate_reading(item, waves, scale)
+                value = _evaluate_reading(item, waves, scale)
+                if value is not None:
+                    result[name] = value
         return result
 
 
 def _evaluate_reading(
     item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray
-) -> np.ndarray:
-    """Return the values of one result; constants are omitted for small signals."""
+) -> np.ndarray | None:
+    """Return the values of one result; constants are omitted for small signals.
+
+    The rate of a wave is None if the waves are not small signals.
+    """
     value = item.combine(waves)
     if not np.iscomplexobj(value):
-        return np.asarray(value + item.constant)
-    return np.asarray(value / (2j * np.pi * scale)) if item.charge else value
+        return None if item.rate else np.asarray(value + item.constant)
+    s = 2j * np.pi * scale
+    if item.rate:
+        return np.asarray(s * value)
+    return np.asarray(value / s) if item.charge else value
 
 
 def split_networks(

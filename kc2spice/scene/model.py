@@ -868,6 +868,15 @@ class PartType(Generic[KeysT]):
 
     # --- results of a run -------------------------------------------------------------------------
 
+    def corrected_waves(
+        self, part: Part[KeysT], build: Build, waves: Waveforms
+    ) -> Mapping[str, np.ndarray]:
+        """Return results that replace those of the netlist, such as a pressure off the axis.
+
+        They are functions of other ``waves``, with effects that the netlist does not contain.
+        """
+        return {}
+
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return numbers that describe the behaviour of the part, keyed by name.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from kc2spice.core.domains import ACOUSTIC
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.model import Build, Part, Scene
@@ -43,6 +44,14 @@ def require_probed_results(build: Build) -> None:
         if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
             raise _make_unknown_result_error(
                 build, probe.of, scene.where(f"probes.{name}.of"), waiting
+            )
+        unit = results.units.get(probe.of)
+        if probe.take == "spl" and unit not in (None, ACOUSTIC.across.unit):
+            raise UsageError(
+                "a sound pressure level needs a pressure",
+                where=scene.where(f"probes.{name}.of"),
+                got=f"{probe.of} in {unit}",
+                expected="a result in Pa, such as the pressure of a listener",
             )
 
 

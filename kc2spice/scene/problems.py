@@ -12,7 +12,7 @@ from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plausible import ImplausibleError, apply_action
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
-from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis
+from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, Probe
 
 MAX_TIME_POINTS = 1e7  # largest number of time points of a transient
 # smallest step that a simulator resolves, relative to the last frequency
@@ -40,6 +40,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     if scene.analysis.type == "dc":
         yield from _check_swept_key(scene)
     for name, probe in scene.probes.items():
+        yield from _check_level_probe(f"probes.{name}", probe, scene.analysis)
         for key, place in probe.places.items():
             yield from _check_probe_position(f"probes.{name}.{key}", place, scene)
 
@@ -254,6 +255,20 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         expected = f"at most {scene.stop:g} s, the end of the transient"
         yield UsageError("the window is longer than the run", where=where, got=got,
                          expected=expected)  # fmt: skip
+
+
+def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator[UsageError]:
+    """Yield an error of a sound pressure level that the analysis does not have."""
+    if probe.take != "spl":
+        return
+    kinds = ("ac",) if probe.at is not None else ("ac", "transient")
+    if selected.type not in kinds:
+        yield UsageError(
+            "this analysis has no such sound pressure level",
+            where=f"{where}.take",
+            got=f"{selected.type} analysis{' and the key at' if probe.at is not None else ''}",
+            expected=f"type = {' or '.join(kinds)}",
+        )
 
 
 def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:

@@ -67,7 +67,9 @@ class Rest:
 class Vector:
     """Result of a part: an ngspice expression, the factor to SI, and the SI unit.
 
-    ``a+b`` is a sum. A current or force ``leaves`` and ``enters`` the part at these pins.
+    ``a+b`` is a sum. A current or force ``leaves`` and ``enters`` the part at these pins. A sound
+    pressure has the ``level_reference`` [Pa], the rms pressure at 0 dB. The part changes a
+    ``corrected`` result after the run (:meth:`kc2spice.scene.model.PartType.corrected_waves`).
     """
 
     expression: str
@@ -75,6 +77,8 @@ class Vector:
     unit: str
     leaves: tuple[str, ...] = ()
     enters: tuple[str, ...] = ()
+    level_reference: float | None = field(default=None, kw_only=True)
+    corrected: bool = field(default=False, kw_only=True)
 
     @property
     def terms(self) -> list[tuple[float, str]]:

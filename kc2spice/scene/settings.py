@@ -392,8 +392,11 @@ class Probe(Section):
 
     ``argmax`` is the place of the largest value on the scale (Hz in ``ac``, s in a transient).
     ``value`` is the value ``at`` a place of the scale. ``frequency`` is the mean rate of cycles
-    over the last half of the run. Complex values count by their magnitude. With a window, ``from``
-    and ``to`` or the last ``periods``, a probe reads only this window, such as a steady state.
+    over the last half of the run. ``spl`` is the sound pressure level of a pressure in dB: ``at`` a
+    frequency or the largest one of an ac analysis, or that of the rms pressure of a transient, re
+    20 uPa in gases and 1 uPa in liquids. Complex values count by their magnitude. With a window,
+    ``from`` and ``to`` or the last ``periods``, a probe reads only this window, such as a steady
+    state.
     """
 
     of: str = Field(
@@ -413,16 +416,18 @@ class Probe(Section):
         "crossing",
         "frequency",
         "value",
+        "spl",
     ] = Field(
         "max",
         description=(
-            "Value that the probe computes from the result; `value` is the result at the place `at`"
+            "Value that the probe computes from the result; `value` is the result at the place "
+            "`at`, `spl` the sound pressure level in dB"
         ),
     )
     at: Place | None = Field(
         None,
         description="Frequency, time or swept value at which the probe reads the result; "
-        "requires take = value",
+        "requires take = value or spl",
     )
     level: Ratio | None = Field(
         None, description="Level of a crossing, in the SI unit of the result"
@@ -462,6 +467,8 @@ class Probe(Section):
     def _require_consistent_keys(self) -> Self:
         for take, key in (("value", "at"), ("crossing", "level")):
             present = getattr(self, key) is not None
+            if key == "at" and self.take == "spl":
+                continue
             if self.take == take and not present:
                 hint = f"add  {key} = VALUE  to this probe"
                 raise invalid_value_error(

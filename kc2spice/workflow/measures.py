@@ -79,10 +79,11 @@ def _list_measures(
 def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
     """Return a result that is one vector of the simulator.
 
-    The result is None for a sum, and for a sweep that returns.
+    The result is None for a sum, for a sweep that returns, and for a result that a part corrects
+    after the run.
     """
     kind = ANALYSIS_KINDS.get(scene.analysis.type)
-    if kind is None or result is None or len(result.terms) != 1:
+    if kind is None or result is None or len(result.terms) != 1 or result.corrected:
         return None
     if kind == "dc" and scene.analysis.back:
         return None

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
@@ -141,7 +142,9 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         window = window_of(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
             unit = _probe_unit(probe, build, waves)
-            probed[name] = Metric(evaluate_probe(probe, waves, name, window), unit)
+            probed[name] = Metric(
+                evaluate_probe(probe, waves, name, window, _level_reference(probe, build)), unit
+            )
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
@@ -157,8 +160,14 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
     scale = SCALES.get(next(iter(waves)), "")
     if build.dc_sweep is not None:
         scale = build.dc_sweep.unit
-    along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
+    along = {"argmax": scale, "crossing": scale, "frequency": "Hz", "spl": "dB"}
     return along.get(probe.take, build.results.units.get(probe.of, SCALES.get(probe.of, "")))
+
+
+def _level_reference(probe: Probe, build: Build) -> float:
+    """Return the rms pressure [Pa] at 0 dB of the result of a probe."""
+    result = build.results.vectors.get(probe.of)
+    return (result.level_reference if result else None) or GAS_REFERENCE
 
 
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
@@ -197,20 +206,38 @@ def _clip_to_window(
 
 
 def evaluate_probe(
-    probe: Probe, waves: Waveforms, name: str, window: tuple[float, float] | None = None
+    probe: Probe,
+    waves: Waveforms,
+    name: str,
+    window: tuple[float, float] | None = None,
+    reference: float = GAS_REFERENCE,
 ) -> float | None:
     """Return the value of a probe; None for crossings or cycles that do not happen.
 
-    With a ``window``, values outside of it are ignored.
+    With a ``window``, values outside of it are ignored. Sound pressure levels refer to the rms
+    pressure ``reference`` [Pa].
 
     Raises
     ------
     UsageError : the run has no such vector.
     """
     if probe.of in waves:
-        return _evaluate_wave(probe, waves.scale.real, waves[probe.of], name, window)
+        scale, values = waves.scale.real, waves[probe.of]
+        if probe.take != "spl":
+            return _evaluate_wave(probe, scale, values, name, window)
+        rms = _evaluate_wave(_rms_probe(probe, values), scale, values, name, window)
+        # the amplitude of a sine is the square root of two times its rms value
+        share = math.sqrt(0.5) if np.iscomplexobj(values) else 1.0
+        return float(compute_level(np.asarray(share * (rms or 0.0)), reference))
     known = list(waves.data)[1:]
     raise unknown("the run has no such result", probe.of, known, f"key probes.{name}.of")
+
+
+def _rms_probe(probe: Probe, values: np.ndarray) -> Probe:
+    """Return the probe of the amplitude or of the rms value whose level a probe computes."""
+    if not np.iscomplexobj(values):
+        return probe.model_copy(update={"take": "rms"})
+    return probe.model_copy(update={"take": "max" if probe.at is None else "value"})
 
 
 def _evaluate_wave(

@@ -171,7 +171,7 @@ def simulate_deck(
         message += "0 on; values that they keep between calls must be reset there"
         warnings.warn(message, stacklevel=2)
     used = simulator_cpu(shared=shared) - begin
-    waves = add_powers(result.waves, deck.powers)
+    waves = add_powers(correct_waves(result.waves, build), deck.powers)
     results = compute_metrics(waves, build)
     return Run(
         deck=result.deck,
@@ -184,6 +184,14 @@ def simulate_deck(
         cpu_s=used,
         point=point,
     )
+
+
+def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
+    """Return the waves with the results that parts correct after a run."""
+    result = dict(waves.data)
+    for part in build.scene.parts.values():
+        result |= part.type.corrected_waves(part, build, waves)
+    return replace(waves, data=result)
 
 
 def add_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:

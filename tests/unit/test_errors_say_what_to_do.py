@@ -409,7 +409,7 @@ def test_choices_of_a_key_are_five_and_the_nearest_is_named(divider):
     code, said = divider('take = "final"', 'take = "finel"')
     assert (code, said["next"]) == (2, "did you mean 'final'?")
     assert said["expected"].count(",") == 5
-    assert "(10 in all: kc2spice scenes --keys)" in said["expected"]
+    assert "(11 in all: kc2spice scenes --keys)" in said["expected"]
     assert divider('take = "final"', 'take = "final"')[0] == 0
 
 

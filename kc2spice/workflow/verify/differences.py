@@ -16,7 +16,7 @@ from kc2spice.scene.checks import Check, Gate
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import collect_powers
 from kc2spice.workflow.metrics import compute_metrics
-from kc2spice.workflow.simulate import add_powers
+from kc2spice.workflow.simulate import add_powers, correct_waves
 
 MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value
 REST_MOTION = 1e-9  # largest motion at rest due to rounding errors, relative to the size
@@ -46,7 +46,7 @@ class OutputError:
 
 def complete_solution(waves: Waveforms, build: Build) -> Solution:
     """Return a solution with the powers and metrics that follow from its waves."""
-    known = {}
+    waves, known = correct_waves(waves, build), {}
     for name, terms in collect_powers(build, waves.data).items():
         if all(term.names <= set(waves) for term in terms):
             known[name] = terms

@@ -98,7 +98,7 @@ def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str
     output = network.readings.get(name)
     if output is None and name in law_pins:
         output = scaled_wave(law_pins[name])
-    if output is None or law_of(output.terms[0][1]) not in network.names:
+    if output is None or output.rate or law_of(output.terms[0][1]) not in network.names:
         return {}
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 

@@ -1,0 +1,32 @@
+"""Sound pressure levels in decibels, and their reference pressures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Pa, reference pressures of ISO 1683
+GAS_REFERENCE, LIQUID_REFERENCE = 20e-6, 1e-6
+SMALLEST_RATIO = 1e-15  # ratio of pressures at which a level ends, because silence has none
+
+
+def compute_level(rms: np.ndarray, reference: float = GAS_REFERENCE) -> np.ndarray:
+    """Compute the sound pressure level [dB] of rms pressures [Pa].
+
+    Parameters
+    ----------
+    rms : ndarray
+        Rms pressures [Pa].
+    reference : float, default 20 uPa
+        Rms pressure [Pa] at 0 dB.
+
+    Returns
+    -------
+    ndarray
+        ``20 log10(rms / reference)``, at least -300 dB.
+
+    Examples
+    --------
+    >>> print(f"{compute_level(np.array(1.0)):.2f}")
+    93.98
+    """
+    return np.asarray(20 * np.log10(np.maximum(rms / reference, SMALLEST_RATIO)))

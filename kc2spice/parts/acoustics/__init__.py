@@ -1,0 +1,1 @@
+"""Parts of sound: radiation, listeners, cavities, vents and tubes."""

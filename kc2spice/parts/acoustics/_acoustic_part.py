@@ -1,0 +1,239 @@
+"""Acoustic parts as networks of acoustic masses, resistances and compliances.
+
+A part type states its elements between its pins and inner nodes as expressions of its parameters
+(:class:`AcousticNetwork`). Netlist, noise, results and the law of the independent integrator follow
+from this network, which is positive real because all elements are positive.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from typing_extensions import TypeVar
+
+from kc2spice.core import laws
+from kc2spice.core.domains import ACOUSTIC, AMBIENT
+from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
+from kc2spice.netlist.elements import attach_comments
+from kc2spice.netlist.expression import Tree
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import LEAK_RATE, format_comment, format_number, format_voltage
+from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.rows import Rest, Vector
+
+FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant=True)
+
+MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
+LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
+# Circuit value of an element relative to its value in SI: 1 V is 1 Pa and 1 A is 1e-6 m3/s.
+SCALES = {
+    MASS: 1 / ACOUSTIC.admittance,
+    RESISTANCE: 1 / ACOUSTIC.admittance,
+    COMPLIANCE: ACOUSTIC.admittance,
+}
+RATING = "not checked; the equations are those of small amplitudes"
+METER = "Vflow"  # meter of the volume velocity into the first pin
+
+
+@dataclass(frozen=True)
+class AcousticElement:
+    """Element of a network between two nodes, with its value in SI as an expression.
+
+    A compliance with a ``leak`` has a small conductance in parallel, which defines the operating
+    point of a floating net.
+    """
+
+    kind: str
+    name: str
+    plus: str
+    minus: str
+    value: str
+    leak: bool = False
+
+    @property
+    def card_name(self) -> str:
+        """Name of its card."""
+        return f"{LETTERS[self.kind]}{self.name}"
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Value as an expression tree."""
+        return parse_simplified(self.value, self.name)
+
+
+@dataclass(frozen=True)
+class AcousticNetwork:
+    """Acoustic elements of a part.
+
+    ``params`` are the parameters of its subcircuit, and ``constants`` expressions of the parameters
+    and of earlier constants. ``entry`` is the node behind the meter of the first pin. ``validity``
+    describes the range of the network and its error, for the header.
+    """
+
+    params: tuple[Param, ...]
+    constants: Mapping[str, str]
+    elements: tuple[AcousticElement, ...]
+    validity: str
+    entry: str = "in"
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Values of parameters and constants."""
+        result = {param.name: param.default for param in self.params}
+        for name, text in self.constants.items():
+            result[name] = float(evaluate_tree(parse_simplified(text, name), result))
+        return result
+
+    def value(self, item: AcousticElement) -> float:
+        """Return the value of an element in SI."""
+        return float(evaluate_tree(item.tree, self.values))
+
+
+class AcousticPart(PartType[FluidKeysT]):
+    """Part whose subcircuit is a network of acoustic elements.
+
+    The first pin has a meter. The last conservative pin is the ambient pressure.
+    """
+
+    source = "closed form"
+    noise = ("Rnoise_*",)
+
+    @abstractmethod
+    def network(self, part: Part[FluidKeysT], scene: GovernedScene) -> AcousticNetwork:
+        """Return the network of a part."""
+
+    def ends(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
+        """Return the pins of pressure, except the ambient pressure; the first one has a meter."""
+        return ("a",)
+
+    def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of pins between which a constant volume velocity flows."""
+        return ()
+
+    # --- pins and netlist -------------------------------------------------------------------------
+
+    def pins(self, part: Part[FluidKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        ends = (replace(Terminal.of(end, ACOUSTIC), required=True) for end in self.ends(part))
+        joined = scene.is_target(part.name, AMBIENT)
+        ambient = Terminal.of(AMBIENT, ACOUSTIC, None if joined else GROUND)
+        return (*ends, replace(ambient, required=joined))
+
+    def at_rest(self, part: Part[FluidKeysT], scene: WiredScene) -> Rest:
+        return Rest(self.paths(part))
+
+    def subcircuits(
+        self, part: Part[FluidKeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
+        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
+
+        network, name = self.network(part, build.scene), build.libraries[part.name]
+        pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
+        title = f"{name}: {self.title}"
+        limits: dict[str, Any] = {"rating": RATING, "validity": network.validity}
+        head = part_header(header, title, pins, network.params, **limits)
+        items = attach_comments(tuple(self._write_items(part, network, noisy=build.has_noise)))
+        names = tuple(pin.name for pin in pins)
+        defaults = parameter_defaults_of(network.params)
+        circuit = Circuit(name, names, defaults, items, notes=head)
+        tree = Circuit(items=(circuit,))
+        text = format_comment(title)
+        return (Subcircuit(name, pins, network.params, tree, title=text, head_lines=len(head)),)
+
+    def _write_items(
+        self, part: Part[FluidKeysT], network: AcousticNetwork, *, noisy: bool
+    ) -> Iterator[Item | str]:
+        """Yield the cards of a network: constants, meter, elements, noise, and further cards."""
+        for name, text in network.constants.items():
+            yield Parameters({name: f"{{{text}}}"})
+        yield "* volume velocity into the part"
+        yield Element.of(METER, self.ends(part)[0], network.entry, "0")
+        for item in network.elements:
+            yield from _write_element(item, noisy=noisy)
+        yield from self.further_cards(part)
+
+    def further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
+        """Yield cards behind those of the network."""
+        return iter(())
+
+    # --- results ----------------------------------------------------------------------------------
+
+    def vectors(self, part: Part[FluidKeysT], build: Build) -> Mapping[str, Vector]:
+        n, first = part.name, self.ends(part)[0]
+        pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
+        across = format_voltage(build.net(part, first), build.net(part, AMBIENT)) or "v(0)"
+        level = part.keys.fluid.level_reference
+        wave = Vector(across, pressure.factor, pressure.unit, level_reference=level)
+        result = {f"{n}.{pressure.symbol}": wave}
+        through = f"i(v.x{n}.{METER})".lower()
+        leaves = self.ends(part)[1:] or (AMBIENT,)
+        result[f"{n}.{flow.symbol}"] = Vector(through, flow.factor, flow.unit, leaves, (first,))
+        return result
+
+    def law(self, part: Part[FluidKeysT], build: Build) -> laws.Equations:
+        n, network = part.name, self.network(part, build.scene)
+        devices, at_node = [], defaultdict[str, list[str]](list)
+        entering: list[tuple[float, str]] = []
+        for item in network.elements:
+            name = f"{n}_{item.name}"
+            devices.append(element(name, item.kind, network.value(item)))
+            for end, node in (("a", item.plus), ("b", item.minus)):
+                at_node[node].append(f"{name}.{end}")
+                if node == network.entry:
+                    entering.append((1.0 if end == "a" else -1.0, f"{name}.a.through"))
+        first = self.ends(part)[0]
+        nodes = {first: network.entry} | {pin: pin for pin in (*self.ends(part)[1:], AMBIENT)}
+        pins = tuple((pin, at_node[node][0]) for pin, node in nodes.items())
+        inside = tuple(tuple(ends) for ends in at_node.values() if len(ends) > 1)
+        pressure = laws.wave_difference(at_node[network.entry][0], at_node[AMBIENT][0])
+        results = {
+            f"{n}.{ACOUSTIC.across.symbol}": pressure,
+            f"{n}.{ACOUSTIC.through_variable.symbol}": laws.Reading(tuple(entering)),
+        }
+        return laws.Equations(tuple(devices), pins, results, nets=inside)
+
+
+def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
+    """Yield the card of an element, its leak and its thermal noise.
+
+    The noise of a resistance R is a volume velocity of the density ``4 k T / R``.
+    """
+    scale, ends = SCALES[item.kind], (item.plus, item.minus)
+    words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
+    card = Element.of(item.card_name, *ends, _scale_text(item.value, scale), **words)
+    yield card.with_unit(ACOUSTIC.value_unit(LETTERS[item.kind]))
+    if item.leak:
+        yield Element.of(
+            f"Gleak_{item.name}", *ends, *ends, _scale_text(item.value, scale * LEAK_RATE)
+        )
+    if words:
+        node = f"noise_{item.name}"
+        yield Element.of(
+            f"Rnoise_{item.name}", node, AMBIENT, _scale_text(f"1/({item.value})", 1.0)
+        )
+        gain = format_number(ACOUSTIC.through_variable.per_unit)
+        yield Element.of(f"Gnoise_{item.name}", *ends, node, AMBIENT, gain)
+
+
+def _scale_text(value: str, scale: float) -> str:
+    """Write a value times a scale: a number, or an expression in braces."""
+    try:
+        return format_number(float(value) * scale)
+    except ValueError:
+        return f"{{{value}}}" if scale == 1 else f"{{{scale:g}*({value})}}"

@@ -1,0 +1,131 @@
+"""Fluids of acoustic parts: constants of air and water with their sources, or a table of constants.
+
+The type :data:`Fluid` of a key accepts a name of :data:`LIBRARY` or a table. Parts read the
+resulting :class:`FluidTable`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from kc2spice.core.errors import did_you_mean
+from kc2spice.core.quantities import (
+    AIR_DENSITY,
+    SOUND_SPEED,
+    Density,
+    Pressure,
+    Ratio,
+    Section,
+    Velocity,
+    invalid_value_error,
+    si,
+)
+from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
+
+LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
+LARGEST_HEAT_RATIO = 5 / 3  # specific heats of a monatomic gas
+LARGEST_DENSITY, LARGEST_SPEED = 3e4, 1e4  # kg/m3 and m/s, above those of all liquids
+
+
+class FluidTable(Section):
+    """Constants of a fluid at rest.
+
+    Without a viscosity, there are no viscous losses; without a conductivity, no thermal losses.
+    """
+
+    density: Density = Field(gt=0, le=LARGEST_DENSITY, description="Mass density of the fluid")
+    sound_speed: Velocity = Field(gt=0, le=LARGEST_SPEED, description="Speed of sound in the fluid")
+    viscosity: Annotated[float, si("Pa s")] = Field(
+        0.0, ge=0, description="Dynamic viscosity of the fluid"
+    )
+    conductivity: Annotated[float, si("W/(m K)")] = Field(
+        0.0, ge=0, description="Thermal conductivity of the fluid"
+    )
+    specific_heat: Annotated[float, si("J/(kg K)")] | None = Field(
+        None, gt=0, description="Specific heat capacity of the fluid at constant pressure"
+    )
+    heat_ratio: Ratio = Field(
+        1.0,
+        ge=1,
+        le=LARGEST_HEAT_RATIO,
+        description="Ratio of the specific heats at constant pressure and at constant volume",
+    )
+    reference_pressure: Pressure | None = Field(
+        None,
+        gt=0,
+        description="Rms pressure at 0 dB; by default 20 uPa in gases and 1 uPa in liquids",
+    )
+    source: str = Field("", max_length=200, description="Reference for the values of this table")
+
+    @model_validator(mode="after")
+    def _require_thermal_constants(self) -> FluidTable:
+        """Require the specific heat of a fluid with a conductivity."""
+        if self.conductivity and self.specific_heat is None:
+            raise ValueError("conductivity needs the key specific_heat")
+        return self
+
+    @property
+    def level_reference(self) -> float:
+        """Rms pressure [Pa] at 0 dB."""
+        if self.reference_pressure is not None:
+            return self.reference_pressure
+        return GAS_REFERENCE if self.density < LARGEST_GAS_DENSITY else LIQUID_REFERENCE
+
+    @property
+    def words(self) -> str:
+        """Density and speed of sound in words."""
+        return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
+
+
+# Constants at 20 C and 1013 hPa.
+LIBRARY: Mapping[str, FluidTable] = {
+    "air": FluidTable(
+        density=AIR_DENSITY,
+        sound_speed=SOUND_SPEED,
+        viscosity=18.2e-6,
+        conductivity=25.9e-3,
+        specific_heat=1006.0,
+        heat_ratio=1.40,
+        source="E. W. Lemmon and R. T Jacobsen, Int. J. Thermophys. 25 (2004) 21; density and "
+        "speed of an ideal gas",
+    ),
+    "water": FluidTable(
+        density=998.2,
+        sound_speed=1482.3,
+        viscosity=1.0016e-3,
+        conductivity=0.598,
+        specific_heat=4184.0,
+        heat_ratio=1.007,
+        source="V. A. Del Grosso and C. W. Mader, J. Acoust. Soc. Am. 52 (1972) 1442; IAPWS 2008 "
+        "and 2011",
+    ),
+}
+
+
+def _read_fluid(value: Any) -> Any:
+    """Replace the name of a fluid by its constants."""
+    if not isinstance(value, str):
+        return value
+    fluid = LIBRARY.get(value.lower())
+    if fluid is None:
+        expected = f"one of {', '.join(LIBRARY)}, or a table"
+        hint = did_you_mean(value, LIBRARY) or "write a table: { density = …, sound_speed = … }"
+        raise invalid_value_error("this fluid does not exist", expected, hint=hint)
+    return fluid
+
+
+Fluid = Annotated[FluidTable, BeforeValidator(_read_fluid)]
+
+
+class FluidKeys(Section):
+    """Key of every acoustic part."""
+
+    fluid: Fluid = Field(
+        "air",
+        validate_default=True,
+        description="Fluid at 20 degrees Celsius, air or water, or a table of its constants; by "
+        "default air",
+    )

@@ -1,0 +1,89 @@
+"""Radiation impedances as networks: pistons in and without a baffle, pulsating sphere.
+
+With the radius a, the surface S and the wave number k, the impedance is pressure over volume
+velocity:
+
+    piston in a baffle   rho c / S (1 - J1(2 k a) / (k a) + j H1(2 k a) / (k a))
+    open end of a tube   rho c / S (1 + R) / (1 - R), R of Levine and Schwinger
+    pulsating sphere     rho c / S  j k a / (1 + j k a): a resistance parallel to a mass
+
+J1 is the Bessel and H1 the Struve function (L. E. Kinsler et al., Fundamentals of Acoustics, 4th
+ed., sections 7.4 and 7.5; H. Levine and J. Schwinger, Phys. Rev. 73 (1948) 383).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from kc2spice.parts.acoustics._acoustic_part import COMPLIANCE, MASS, RESISTANCE, AcousticElement
+from kc2spice.parts.acoustics._radiation_networks import (
+    BAFFLED_PISTON,
+    FREE_PISTON,
+    NetworkSection,
+    RadiationNetwork,
+)
+
+Shape = Literal["baffled_piston", "free_piston", "sphere"]
+SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Radiator:
+    """Shape of a radiator: its network, area, and solid angle of the far field.
+
+    ``area`` is the surface relative to the squared radius. ``solid_angle`` is 2 pi if a baffle
+    confines the sound to a half-space, otherwise 4 pi.
+    """
+
+    words: str
+    network: RadiationNetwork
+    area: float
+    solid_angle: float
+
+    @property
+    def errors(self) -> str:
+        """Largest ka and errors of the network in words."""
+        if math.isinf(self.network.largest_ka):
+            return "exact at all frequencies"
+        return (
+            f"up to k a = {self.network.largest_ka:g} at most "
+            f"{100 * self.network.impedance_error:.2g} % error of the impedance and "
+            f"{100 * self.network.power_error:.2g} % of the radiated power"
+        )
+
+    def largest_frequency(self, radius: float, sound_speed: float) -> float:
+        """Return the largest frequency [Hz] for which the errors hold."""
+        return self.network.largest_ka * sound_speed / (2 * math.pi * radius)
+
+
+RADIATORS: Mapping[Shape, Radiator] = {
+    "baffled_piston": Radiator(
+        "circular piston in an infinite baffle", BAFFLED_PISTON, math.pi, 2 * math.pi
+    ),
+    "free_piston": Radiator(
+        "circular piston in the open end of a tube", FREE_PISTON, math.pi, 4 * math.pi
+    ),
+    "sphere": Radiator("pulsating sphere", SPHERE, 4 * math.pi, 4 * math.pi),
+}
+
+
+def list_elements(network: RadiationNetwork, first: str, last: str) -> Iterator[AcousticElement]:
+    """Yield the elements of the sections in series between two nodes.
+
+    The values are expressions of ``impedance``, rho c / S, and ``rate``, c / a.
+    """
+    count = len(network.sections)
+    nodes = [first, *map("n{}".format, range(1, count)), last]
+    for k, section in enumerate(network.sections):
+        start, end, (r, w, b) = nodes[k], nodes[k + 1], section
+        yield AcousticElement(RESISTANCE, f"r{k + 1}", start, end, f"{r:.12g}*impedance")
+        # a resonator has the bandwidth b w = 1 / (R C) and the resonance w^2 = 1 / (L C)
+        mass = r * b / w if b else r / w
+        yield AcousticElement(MASS, f"m{k + 1}", start, end, f"{mass:.12g}*impedance/rate")
+        if b:
+            compliance = 1 / (r * b * w)
+            value = f"{compliance:.12g}/(impedance*rate)"
+            yield AcousticElement(COMPLIANCE, f"c{k + 1}", start, end, value)

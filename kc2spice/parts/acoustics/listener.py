@@ -1,0 +1,353 @@
+"""Sound pressure at a point in the far field of one or more radiating surfaces."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.prefix import format_quantity
+from kc2spice.core.quantities import Length, Ratio, Section
+from kc2spice.core.sound_level import compute_level
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, positive_parameter
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import format_comment, format_number
+from kc2spice.parts.acoustics._acoustic_part import RATING
+from kc2spice.parts.acoustics.radiation import REFERENCE_DISTANCE, SOUND, RadiationKeys
+from kc2spice.scene.checks import Metric
+from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Vector
+
+OUT = "out"  # pin of the sound pressure
+RADIATION = "radiation"  # part type of the sources
+RIGHT_ANGLE = 90.0  # degrees, largest angle in front of a baffle
+LOG_DECADES = 1.3  # decades of frequency from which on a figure has a logarithmic axis
+
+
+class ListenerKeys(Section):
+    """Place of the listener and the surfaces that the listener hears."""
+
+    sources: tuple[str, ...] = Field(
+        (),
+        max_length=64,
+        description="Parts of type radiation whose sound the listener hears; by default all of the "
+        "scene",
+    )
+    distance: Length = Field(
+        1.0, gt=0, description="Distance of the listener from the radiating surfaces"
+    )
+    angle: Ratio = Field(
+        0.0,
+        ge=0,
+        le=180,
+        description="Angle of the listener from the axis of the radiating surfaces in degrees",
+    )
+
+
+class Listener(PartType[ListenerKeys]):
+    """Sum of the far fields of radiating surfaces.
+
+    ``p = j omega rho / (2 pi r) exp(-j k r) sum D_n U_n``, ``D = 2 J1(x) / x`` with
+    ``x = k a sin(angle)`` of a piston in a baffle; 4 pi and D = 1 for the other shapes (L. E.
+    Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4).
+    """
+
+    name, title = "listener", "sound pressure at a point in the far field"
+    schema = ListenerKeys
+    source = "closed form"
+    example = """
+[listener]
+part = "listener"
+distance = "10 cm"
+
+[front]
+part = "radiation"
+radius = "10 mm"
+pins = { face = "push.out" }
+
+[push]
+part = "source"
+kind = "volume_velocity"
+ac = "1e-6 m3/s"
+
+[analysis]
+type = "ac"
+start = "100 Hz"
+stop = "20 kHz"
+
+[probes]
+level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
+"""
+
+    def radiations(
+        self, part: Part[ListenerKeys], scene: DeclaredScene
+    ) -> tuple[Part[RadiationKeys], ...]:
+        """Return the surfaces that the listener hears."""
+        every = {item.name: item for item in scene.of_schema(RADIATION, RadiationKeys)}
+        if not part.keys.sources:
+            return tuple(every.values())
+        return tuple(every[name] for name in part.keys.sources if name in every)
+
+    # --- scene ------------------------------------------------------------------------------------
+
+    def pins(self, part: Part[ListenerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        unit = ACOUSTIC.across.pin_unit
+        count = len(self.radiations(part, scene))
+        inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _input_names(count))
+        out = Terminal(OUT, unit, SIGNAL, signal_out=True)
+        return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
+
+    def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
+        sources = self.radiations(part, scene)
+        targets = (f"{source.name}.{SOUND}" for source in sources)
+        return dict(zip(_input_names(len(sources)), targets, strict=True))
+
+    def problems(self, part: Part[ListenerKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        known = [item.name for item in scene.of(RADIATION)]
+        for k, name in enumerate(part.keys.sources):
+            if name not in known:
+                where = f"{part.name}.sources.{k}"
+                yield unknown("the scene has no radiation of this name", name, known, where)
+            elif name in part.keys.sources[:k]:
+                message = "the listener hears this source twice"
+                yield part.wrong(f"sources.{k}", message, name, "each name once")
+        sources = self.radiations(part, scene)
+        if not sources:
+            yield part.wrong(
+                "sources",
+                "the scene has no radiating surface that the listener could hear",
+                "no part of type radiation",
+                'a part with part = "radiation"',
+            )
+            return
+        first = sources[0].keys.fluid
+        for source in sources[1:]:
+            if source.keys.fluid != first:
+                message = "the sources of a listener are in different fluids"
+                yield part.wrong("sources", message, source.name, "sources in one fluid")
+        for item in sources:
+            if item.pins.get(AMBIENT, GROUND) != GROUND:
+                message = "a listener hears surfaces that radiate into the ambient pressure alone"
+                got = f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}"
+                yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}")
+        baffled = [item.name for item in sources if item.keys.shape == "baffled_piston"]
+        if part.keys.angle > RIGHT_ANGLE and baffled:
+            message = f"the listener is behind the baffle of {baffled[0]}"
+            yield part.wrong("angle", message, f"{part.keys.angle:g}", "at most 90 degrees")
+        self._warn_of_limits(part, sources, scene)
+
+    def _warn_of_limits(
+        self,
+        part: Part[ListenerKeys],
+        sources: tuple[Part[RadiationKeys], ...],
+        scene: GovernedScene,
+    ) -> None:
+        """Warn of a listener in the near field, and of angles that have no effect."""
+        keys, top = part.keys, highest_frequency(scene)
+        limit = min(map(self._largest_frequency, [part] * len(sources), sources))
+        if scene.analysis.small and top > limit:
+            warnings.warn(
+                f"{part.name}: the far field at {format_quantity(keys.distance, 'm')} ends at "
+                f"{format_quantity(limit, 'Hz')}, the analysis at {format_quantity(top, 'Hz')}: "
+                "the pressure near the surface differs",
+                stacklevel=2,
+            )
+        widest = max(map(_baffled_radius, sources))
+        if keys.angle and widest and scene.analysis.type != "ac":
+            warnings.warn(
+                f"{part.name}: the angle has an effect in an ac analysis only; sound above "
+                f"{format_quantity(first_null(sources, keys.angle), 'Hz')} is much weaker there",
+                stacklevel=2,
+            )
+
+    def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
+        """Return the frequency [Hz] up to which the distance exceeds S / wavelength."""
+        area = source.keys.radiator.area * source.keys.surface_radius**2
+        return part.keys.distance * source.keys.fluid.sound_speed / area
+
+    # --- netlist ----------------------------------------------------------------------------------
+
+    def subcircuits(
+        self, part: Part[ListenerKeys], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
+        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
+
+        name, sources = build.libraries[part.name], self.radiations(part, build.scene)
+        pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
+        params = (
+            positive_parameter("distance", part.keys.distance, "m", "distance of the listener"),
+        )
+        words = ", ".join(
+            f"{pin} is the sound of {source.name}"
+            for pin, source in zip(_input_names(len(sources)), sources, strict=True)
+        )
+        title = f"{name}: {self.title}; {words}"
+        validity = (
+            "far field on the axis, without travel time and directivity; inputs are pressures at "
+            f"{REFERENCE_DISTANCE:g} m"
+        )
+        head = part_header(header, title, pins, params, rating=RATING, validity=validity)
+        items = tuple(_write_sum(len(sources)))
+        names = tuple(pin.name for pin in pins)
+        circuit = Circuit(name, names, parameter_defaults_of(params), items, notes=head)
+        tree, text = Circuit(items=(circuit,)), format_comment(title)
+        return (Subcircuit(name, pins, params, tree, title=text, head_lines=len(head)),)
+
+    # --- results ----------------------------------------------------------------------------------
+
+    def vectors(self, part: Part[ListenerKeys], build: Build) -> Mapping[str, Vector]:
+        sources = self.radiations(part, build.scene)
+        pressure = replace(
+            build.across(part, OUT),
+            level_reference=sources[0].keys.fluid.level_reference,
+            corrected=build.scene.analysis.type == "ac",
+        )
+        return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
+
+    def law(self, part: Part[ListenerKeys], build: Build) -> laws.Equations:
+        """Return no equations: the pressure follows from those of the sources after the run."""
+        return laws.Equations()
+
+    def corrected_waves(
+        self, part: Part[ListenerKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, np.ndarray]:
+        """Return the pressure of an ac analysis with directivity and travel time."""
+        sources = self.radiations(part, build.scene)
+        names = [f"{source.name}.{SOUND}" for source in sources]
+        if "frequency" not in waves or not set(names) <= set(waves.data):
+            return {}
+        frequency, keys = waves["frequency"].real, part.keys
+        total = np.zeros(frequency.size, complex)
+        for name, source in zip(names, sources, strict=True):
+            total += waves[name] * directivity(source.keys, keys.angle, frequency)
+        # exp(-j k r) / r relative to the pressure at the reference distance without travel time
+        k = 2 * np.pi * frequency / sources[0].keys.fluid.sound_speed
+        spread = np.exp(-1j * k * keys.distance) * REFERENCE_DISTANCE / keys.distance
+        return {f"{part.name}.{ACOUSTIC.across.symbol}": spread * total}
+
+    def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
+        """Return the levels [dB] of an ac analysis."""
+        fluid = self.radiations(part, build.scene)[0].keys.fluid
+        pressure = np.abs(waves[f"{part.name}.{ACOUSTIC.across.symbol}"])
+        return compute_level(pressure / math.sqrt(2.0), fluid.level_reference)
+
+    def metrics(
+        self, part: Part[ListenerKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
+        if build.scene.analysis.type != "ac":
+            return {}
+        frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
+        largest = int(levels.argmax())
+        return {
+            "frequency_hz": Metric(frequency.tolist(), "Hz"),
+            "level_db": Metric(levels.tolist(), "dB"),
+            "peak_level_db": Metric(float(levels[largest]), "dB"),
+            "peak_level_frequency_hz": Metric(float(frequency[largest]), "Hz"),
+        }
+
+    def figures(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        if build.scene.analysis.type != "ac":
+            return
+        frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
+        axis, factor = scale_axis("frequency", frequency)
+        log = frequency[0] > 0 and math.log10(frequency[-1] / frequency[0]) > LOG_DECADES
+        fluid = self.radiations(part, build.scene)[0].keys.fluid
+        reference = f"{1e6 * fluid.level_reference:g} µPa"
+        curve = Curve("", factor * frequency, levels)
+        panel = Panel(axis, f"level in dB re {reference}", (curve,), log_x=log)
+        largest = int(levels.argmax())
+        title = (
+            f"{part.name}: at most {levels[largest]:.1f} dB, at "
+            f"{format_quantity(float(f'{frequency[largest]:.4g}'), 'Hz')}"
+        )
+        place = format_quantity(part.keys.distance, "m")
+        caption = (
+            f"Sound pressure level (rms, re {reference}) at {place} and {part.keys.angle:g}° from "
+            "the axis, in a free far field."
+        )
+        yield Figure(f"{part.name}_level", title, caption, (panel,))
+
+    def notes(self, part: Part[ListenerKeys], scene: Scene) -> Iterator[str | Neglected]:
+        keys, sources = part.keys, self.radiations(part, scene)
+        names = ", ".join(source.name for source in sources)
+        fluid = sources[0].keys.fluid
+        delay = format_quantity(float(f"{keys.distance / fluid.sound_speed:.3g}"), "s")
+        yield (
+            f"far field of {names} at {format_quantity(keys.distance, 'm')}, {keys.angle:g} "
+            f"degrees from the axis; transients do not contain the travel time of {delay}"
+        )
+        if len(sources) > 1:
+            yield Neglected(
+                "differences of the distance", "all sources have one distance", "not estimated"
+            )
+        if keys.angle and any(map(_baffled_radius, sources)):
+            yield Neglected(
+                "directivity in the netlist and in transients",
+                "the pin out has the pressure on the axis",
+                f"first null at {format_quantity(first_null(sources, keys.angle), 'Hz')}",
+            )
+        if any(source.keys.shape == "free_piston" for source in sources):
+            yield Neglected("directivity without a baffle", "D = 1", "not estimated")
+        size = "about 0.5 dB per metre at 20 kHz in air"
+        yield Neglected("absorption in the fluid", "no loss on the path", size)
+
+
+def _input_names(count: int) -> tuple[str, ...]:
+    """Return the pins of the sound of each source."""
+    return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
+
+
+def _write_sum(count: int) -> Iterator[Item]:
+    """Yield the cards of the sum of all inputs, divided by the distance."""
+    base, gain = AMBIENT, f"{{{format_number(REFERENCE_DISTANCE)}/distance}}"
+    for k, pin in enumerate(_input_names(count), 1):
+        end = OUT if k == count else f"sum{k}"
+        yield Element.of(f"E{k}", end, base, pin, AMBIENT, gain)
+        base = end
+
+
+def _baffled_radius(source: Part[RadiationKeys]) -> float:
+    """Return the radius [m] of a piston in a baffle, 0 for other shapes."""
+    return source.keys.surface_radius if source.keys.shape == "baffled_piston" else 0.0
+
+
+def first_null(sources: tuple[Part[RadiationKeys], ...], angle: float) -> float:
+    """Return the frequency [Hz] of the first null of the directivity, k a sin(angle) = 3.832."""
+    radius = max(map(_baffled_radius, sources))
+    speed = sources[0].keys.fluid.sound_speed
+    return float(f"{3.8317 * speed / (2 * math.pi * radius * math.sin(math.radians(angle))):.3g}")
+
+
+def directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
+    """Return the pressure at an angle [degrees] relative to the axis, 2 J1(x) / x."""
+    if keys.shape != "baffled_piston" or not angle:
+        return np.ones(frequency.size)
+    from scipy.special import j1  # loads slowly
+
+    k = 2 * np.pi * frequency / keys.fluid.sound_speed
+    x = np.maximum(k * keys.surface_radius * math.sin(math.radians(angle)), 1e-9)
+    return np.asarray(2 * j1(x) / x)
+
+
+register(Listener())

@@ -1,0 +1,179 @@
+"""Radiation of sound from a vibrating surface: pistons and a pulsating sphere."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from kc2spice.core import laws
+from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
+from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
+from kc2spice.core.quantities import Length, invalid_value_error, si
+from kc2spice.netlist.circuit import Element, Item, positive_parameter
+from kc2spice.netlist.spelling import format_number, format_voltage
+from kc2spice.parts.acoustics._acoustic_part import (
+    MASS,
+    METER,
+    SCALES,
+    AcousticNetwork,
+    AcousticPart,
+)
+from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics._radiation_impedance import (
+    RADIATORS,
+    Radiator,
+    Shape,
+    list_elements,
+)
+from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Vector
+
+FACE, SOUND = "face", "sound"  # pins
+REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound``
+
+
+class RadiationKeys(FluidKeys):
+    """Shape and size of a radiating surface, by its radius or its area."""
+
+    shape: Shape = Field(
+        "baffled_piston",
+        description="Shape of the radiating surface: piston in an infinite baffle, piston in the "
+        "open end of a tube, or pulsating sphere",
+    )
+    radius: Length | None = Field(None, gt=0, description="Radius of the radiating surface")
+    area: Annotated[float, si("m2")] | None = Field(
+        None, gt=0, description="Area of the radiating surface, instead of its radius"
+    )
+
+    @model_validator(mode="after")
+    def _require_one_size(self) -> RadiationKeys:
+        if (self.radius is None) == (self.area is None):
+            number = "no size" if self.radius is None else "two sizes"
+            raise invalid_value_error(f"the surface has {number}", "radius or area")
+        return self
+
+    @property
+    def radiator(self) -> Radiator:
+        """Network and far field of the shape."""
+        return RADIATORS[self.shape]
+
+    @property
+    def surface_radius(self) -> float:
+        """Radius [m] of the surface."""
+        if self.radius is not None:
+            return self.radius
+        return math.sqrt((self.area or 0.0) / self.radiator.area)
+
+    @property
+    def largest_frequency(self) -> float:
+        """Largest frequency [Hz] for which the error of the network holds."""
+        return self.radiator.largest_frequency(self.surface_radius, self.fluid.sound_speed)
+
+
+class Radiation(AcousticPart[RadiationKeys]):
+    name, title = "radiation", "radiation impedance of a piston or a pulsating sphere"
+    schema = RadiationKeys
+    example = """
+[radiation]
+part = "radiation"
+radius = "10 mm"
+pins = { face = "push.out" }
+
+[push]
+part = "source"
+kind = "volume_velocity"
+ac = "1e-6 m3/s"
+
+[analysis]
+type = "ac"
+start = "100 Hz"
+stop = "20 kHz"
+"""
+
+    def ends(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
+        return (FACE,)
+
+    def paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
+        return ((FACE, AMBIENT),)
+
+    def pins(self, part: Part[RadiationKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        unit = ACOUSTIC.across.pin_unit
+        return (*super().pins(part, scene), Terminal(SOUND, unit, SIGNAL, signal_out=True))
+
+    def problems(self, part: Part[RadiationKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        if not scene.analysis.small:
+            return
+        highest, limit = highest_frequency(scene), part.keys.largest_frequency
+        if highest > limit:
+            ka = 2 * math.pi * highest * part.keys.surface_radius / part.keys.fluid.sound_speed
+            warnings.warn(
+                f"{part.name}: the network of the radiation impedance holds up to "
+                f"{format_quantity(limit, 'Hz')}, the analysis ends at "
+                f"{format_quantity(highest, 'Hz')} (k a = {ka:.3g}): lower analysis.stop",
+                stacklevel=2,
+            )
+
+    def network(self, part: Part[RadiationKeys], scene: GovernedScene) -> AcousticNetwork:
+        keys = part.keys
+        params = (
+            positive_parameter("radius", keys.surface_radius, "m", "radius of the surface"),
+            positive_parameter("density", keys.fluid.density, "kg/m3", "density of the fluid"),
+            positive_parameter("sound_speed", keys.fluid.sound_speed, "m/s", "speed of sound"),
+        )
+        area = f"{keys.radiator.area!r}*radius*radius"
+        return AcousticNetwork(
+            params,
+            {"impedance": f"density*sound_speed/({area})", "rate": "sound_speed/radius"},
+            tuple(list_elements(keys.radiator.network, "in", AMBIENT)),
+            f"{keys.radiator.words}, {keys.radiator.errors}; small amplitudes, fluid at rest",
+        )
+
+    def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
+        angle = part.keys.radiator.solid_angle * REFERENCE_DISTANCE
+        yield (
+            f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
+            f"its travel time:\n* density / {angle:.4g} m times the rate of the volume velocity"
+        )
+        yield Element.of("Fsound", AMBIENT, SOUND, METER, "1")
+        value = f"{{{format_number(SCALES[MASS] / angle)}*density}}"
+        yield Element.of("Lsound", SOUND, AMBIENT, value)
+
+    def vectors(self, part: Part[RadiationKeys], build: Build) -> Mapping[str, Vector]:
+        level = part.keys.fluid.level_reference
+        ends = format_voltage(build.net(part, SOUND), build.net(part, AMBIENT))
+        sound = replace(build.across(part, SOUND), expression=ends, level_reference=level)
+        return {**super().vectors(part, build), f"{part.name}.{SOUND}": sound}
+
+    def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
+        equations, keys = super().law(part, build), part.keys
+        flow = equations.results[f"{part.name}.{ACOUSTIC.through_variable.symbol}"]
+        mass = keys.fluid.density / (keys.radiator.solid_angle * REFERENCE_DISTANCE)
+        terms = tuple((mass * factor, wave) for factor, wave in flow.terms)
+        sound = {f"{part.name}.{SOUND}": laws.Reading(terms, rate=True)}
+        return replace(equations, results={**equations.results, **sound})
+
+    def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | Neglected]:
+        keys, radiator = part.keys, part.keys.radiator
+        limit = keys.largest_frequency
+        upper = "" if math.isinf(limit) else f" ({format_quantity(limit, 'Hz')})"
+        yield (
+            f"{radiator.words}, radius {format_quantity(keys.surface_radius, 'm')}, "
+            f"{keys.fluid.words}: {radiator.errors}{upper}"
+        )
+        yield Neglected("reflections", "the sound leaves into a free field", "not estimated")
+        if keys.shape != "sphere":
+            words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
+            yield Neglected("size of the baffle", words, "up to 6 dB at low frequencies")
+            yield Neglected("shape of the motion", "all points move alike", "not estimated")
+
+
+register(Radiation())
