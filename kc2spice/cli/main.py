@@ -59,6 +59,7 @@ EXAMPLES = {
         "kc2spice fit buzzer_7bb_20_6:disc DATA.csv --vary damping.quality=10:200",
         "kc2spice fit MY.toml:disc DATA.s1p --vary 'layers[0].thickness'",
         "kc2spice fit MY.toml:disc GAIN.csv --shunt '100 Ohm' --vary damping.quality",
+        "kc2spice fit MY.toml:woofer CURVES.toml --vary bl=5:9 --vary mms --vary fs",
     ),
     "bench": ("kc2spice bench impact --error 1e-4", "kc2spice bench kick_and_catch --repeats 3"),
     "sweep": (
@@ -537,7 +538,7 @@ def _fit(
     out: Path | None = None,
     set_: list[str] | None = None,
 ) -> None:
-    """Fit keys of a body to a measured impedance.
+    """Fit keys of a part to measured impedances.
 
     Writes fit.toml with the fitted keys, for --set, and report.html into DIR. A disc takes seconds,
     a solid minutes.

@@ -63,10 +63,11 @@ PARAMETERS = {
         "NAME.toml in the same folder contains ports, units and band.",
     ),
     "target": typer.Argument(
-        metavar="SCENE:PART", help="Scene and the name of the body to fit, separated by a colon."
+        metavar="SCENE:PART", help="Scene and the name of the part to fit, separated by a colon."
     ),
     "data": typer.Argument(
-        metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
+        metavar="DATA",
+        help="Measured impedance: .s1p, .csv, .txt, .zma or .mat; or a .toml list of curves.",
     ),
     "run.out": _make_out_option("./SCENE"),
     "export.out": _make_out_option("./SCENE, or beside the reduced model"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +13,29 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.report.html import PageSection, write_page
 
 
-def write_fit(
-    path: Path,
-    record: Mapping[str, Any],
-    f: np.ndarray,
-    Y: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-) -> None:
-    """Write the page of a fit from its ``record`` and its admittances.
+@dataclass(frozen=True, eq=False)
+class PlottedCurve:
+    """Admittances (n,) [S] at frequencies ``f`` (n,) [Hz], measured, before and after a fit."""
 
-    ``Y`` is measured, ``before`` and ``after`` (n,) are those of the scene and of the fit [S], all
-    at ``f`` [Hz].
-    """
-    figures = plot_fit(f, Y, before, after)
-    sections = [*format_fit(record), PageSection("Impedance", figures=figures)]
+    name: str
+    f: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCurve]) -> None:
+    """Write the page of a fit from its ``record`` and its admittances."""
+    sections = format_fit(record)
+    for curve in curves:
+        figures = plot_fit(curve.f, curve.measured, curve.before, curve.after)
+        sections.append(PageSection(curve.name, figures=figures))
+    export = "--set fit.toml writes a netlist with these keys"
+    if record["models"]:
+        export = "--set fit.toml --set box.toml writes a netlist with these keys as parameters"
     lead = (
         f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
-        "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
+        f"with {export}."
     )
     write_page(path, f"{record['part']}, fitted", lead, sections)
 
@@ -37,7 +43,7 @@ def write_fit(
 def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
     """Return the results of ``fit`` for page and terminal."""
     keys = tuple(record["parameters"])
-    return [
+    sections = [
         PageSection("Values", list(map(_value_row, keys, record["parameters"].values())),
                     ("key", "value", "standard error", "range", "bound")),
         PageSection("Fit", _format_quality(record)),
@@ -49,6 +55,17 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
         PageSection("Correlation", list(map(_correlation_row, keys, record["correlation"])),
                     ("", *keys)),
     ]  # fmt: skip
+    if curves := record.get("curves"):
+        titles = ("curve", "keys of the measurement", "use", "rms", "largest")
+        sections.insert(2, PageSection("Error of |Z|", list(map(_curve_row, curves)), titles))
+    return sections
+
+
+def _curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of a curve: its file, keys, use and errors."""
+    keys = ", ".join(f"{key} = {value}" for key, value in curve["set"].items())
+    use = "predicted" if curve["predict"] else "fitted"
+    return curve["data"], keys, use, f"{curve['rms']:.2%}", f"{curve['largest']:.2%}"
 
 
 def _value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
@@ -74,7 +91,7 @@ def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
         ("noise of the data", f"{record['noise']:.2g}"),
         ("misfit, in units of the noise", f"{record['misfit']:.2g}"),
-        ("finite element models", str(record["models"])),
+        *([("finite element models", str(record["models"]))] if record["models"] else []),
         ("starts that ended in another minimum", str(record["other_minima"])),
     ]
     if record["caution"]:

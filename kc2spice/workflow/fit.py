@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -17,7 +15,6 @@ from typing import Any
 import numpy as np
 import scipy
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.signal import find_peaks
 from scipy.stats import qmc
 
 from kc2spice.bodies.device import add_rayleigh_damping
@@ -31,9 +28,9 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
-from kc2spice.parts.bodies._box import VariedKey, make_varied, number_of, values_of_part
+from kc2spice.parts.bodies._box import VariedKey, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.fit_page import write_fit
+from kc2spice.report.fit_page import PlottedCurve, write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import clamped_tangent, permittivity
@@ -47,18 +44,23 @@ from kc2spice.rom.parametric import (
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.model import Scene
+from kc2spice.workflow.circuit_fit import CircuitFit, fit_circuit, require_impedance
+from kc2spice.workflow.fit_curves import read_curves
+from kc2spice.workflow.fit_keys import (
+    compute_log_widths,
+    find_resonances,
+    format_calibrated_ranges,
+    is_at_bound,
+    read_varied_keys,
+)
 from kc2spice.workflow.misfit import (
     WARNING_MISFIT,
     estimate_covariance,
     find_likely_cause,
     rms_misfit,
 )
-from kc2spice.workflow.sweep.grid import parse_value
 
-# half range of a key as a ratio: ceramics vary by 30 %, losses by a factor of ten
-VALUE_RANGE, LOSS_RANGE = 1.3, 10.0
-_LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
 # smallest relative noise: the error of the mesh, which may exceed the noise of the data
 MIN_NOISE = 1e-3
 # number of random samples of the ranges; number of descents, the first from the values of the scene
@@ -72,8 +74,6 @@ DIFFERENCE_STEP = 1e-5  # step of finite differences, in logarithms of values
 # rms misfit relative to |Y|; a larger one indicates another resonance or another part
 MAX_MISFIT = 0.5
 WORSE_COST_RATIO = 2.0  # ratio to the least cost above which another minimum counts as worse
-# smallest height of a peak, relative to the largest conductance; relative to the noise
-MIN_PROMINENCE, MIN_NOISE_RATIO = 0.005, 8.0
 STATIC_FREQUENCY_RATIO = 1e-3  # static frequency, relative to the lowest frequency of the data
 LOSS_TANGENT_KEY = "damping.loss_tangent"  # no finite-element model contains this key
 DAMPING_KEYS = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
@@ -87,21 +87,19 @@ CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model =
 VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
 UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES_FILE, RANGES_FILE, PAGE_FILE = "fit.toml", "box.toml", "report.html"
-# standard errors within the parameter range of the netlist; its smallest relative half-width
-RANGE_ERRORS, MIN_HALF_WIDTH = 2.0, 1.1e-3
 Box = dict[str, ParameterAxis]
 
 
 def fit(
     scene: Scene | str | Path | Mapping[str, Any],
     part: str,
-    data: Path | str | MeasuredAdmittance,
+    data: Path | str | MeasuredAdmittance | Sequence[Mapping[str, Any]],
     vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
     out: Path | None = None,
     progress: Progress = ignore_progress,
     shunt: str | float | None = None,
 ) -> dict[str, Any]:
-    """Vary keys of a body until its admittance is the measured one.
+    """Vary keys of a part until its admittance is the measured one.
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of all
@@ -112,14 +110,19 @@ def fit(
     (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning that
     names its likely cause.
 
+    Parts without finite elements, and several curves, are fitted with the equations of the scene
+    (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
+
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         Scene in any form that :func:`kc2spice.load_scene` reads.
     part : str
-        Name of the body in the scene.
-    data : Path, str or Measured
+        Name of the part in the scene.
+    data : Path, str, Measured or sequence of mapping
         Measured impedance or admittance of one port: a Touchstone file, a table or a MATLAB file.
+        A TOML file with tables ``[[curve]]``, or a list of these tables, contains several curves
+        with the keys ``file``, ``set``, ``band`` and ``predict``.
     vary : sequence of str, or mapping of str to pair of floats or None
         Keys of the body, each with a range in SI units: ``KEY=low:high``, or the pair of a mapping.
         The default range is 30 % about the scene's value, or a factor of ten for losses.
@@ -161,17 +164,94 @@ def fit(
     45.000
     """
     loaded = load_scene(scene)
-    # checked before the data, so that this mistake is reported first
-    _require_linear(loaded.part(part, "SCENE:PART"))
+    listed = _is_list_of_curves(data)
+    if not listed and not isinstance(loaded.part(part, "SCENE:PART").type, LinearBody):
+        data, listed = [{"file": data}], True
+    if listed:
+        return _fit_curves(loaded, part, data, vary, out, progress, shunt)
     resistance = parse_shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "this argument applies only to a file of gain and phase"
         raise UsageError(
             problem, where="shunt", got=shunt, expected="a shunt with the path of a file"
         )
+    assert isinstance(data, (str, Path, MeasuredAdmittance))  # a list of curves is handled above
     measured = (
         data if isinstance(data, MeasuredAdmittance) else read_measured(Path(data), resistance)
     )
+    _require_one_port(measured)
+    _require_keys(vary, part)
+    keys = read_varied_keys(loaded, part, vary)
+    body = _Body(loaded, part, measured, keys, progress, loaded)
+    with nullcontext(Path()) if out is None else stage_directory(out) as work:
+        descent = body.descent({item.key: item.axis for item in keys})
+        ends = _descents(descent)
+        end = _refine_end(descent, ends[0])
+        start = body.response(descent.reduced, values_of_part(keys))
+        record = _record(body, start, end, ends)
+        if out is None:
+            return record
+        _write_values(work / VALUES_FILE, record["values"])
+        (work / RANGES_FILE).write_text(
+            format_calibrated_ranges(part, record["parameters"]), encoding="utf-8"
+        )
+        plotted = PlottedCurve("Impedance", measured.f, body.Y, start, end.exact)
+        write_fit(work / PAGE_FILE, record, [plotted])
+    return {
+        **record,
+        "overrides": str(Path(out) / VALUES_FILE),
+        "box": str(Path(out) / RANGES_FILE),
+        "page": str(Path(out) / PAGE_FILE),
+    }
+
+
+def _is_list_of_curves(data: object) -> bool:
+    """Return whether ``data`` is a list of curves, or the TOML file of one."""
+    if isinstance(data, (str, Path)):
+        return Path(data).suffix.lower() == ".toml"
+    return not isinstance(data, MeasuredAdmittance)
+
+
+def _fit_curves(
+    scene: Scene,
+    part: str,
+    data: Any,
+    vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
+    out: Path | None,
+    progress: Progress,
+    shunt: str | float | None,
+) -> dict[str, Any]:
+    """Fit several curves by the equations of the scene; arguments as of :func:`fit`."""
+    require_impedance(scene, part)
+    curves = read_curves(data, parse_shunt_resistance(shunt))
+    for curve in curves:
+        _require_one_port(curve.data)
+    _require_keys(vary, part)
+    keys = read_varied_keys(scene, part, vary)
+    where = str(data) if isinstance(data, (str, Path)) else curves[0].data.where
+    with nullcontext(Path()) if out is None else stage_directory(out) as work:
+        record = fit_circuit(CircuitFit(scene, part, curves, keys, progress), where)
+        responses = record.pop("responses")
+        if out is None:
+            return record
+        _write_values(work / VALUES_FILE, record["values"])
+        plotted = []
+        for curve, before, after in responses:
+            name = Path(curve.data.where).name
+            plotted.append(PlottedCurve(name, curve.data.f, curve.Y, before, after))
+        write_fit(work / PAGE_FILE, record, plotted)
+    folder = Path(out)
+    return {**record, "overrides": str(folder / VALUES_FILE), "page": str(folder / PAGE_FILE)}
+
+
+def _write_values(path: Path, values: Mapping[str, float]) -> None:
+    """Write values by dotted key as a TOML file for --set."""
+    lines = [f'"{key}" = {value!r}' for key, value in values.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _require_one_port(measured: MeasuredAdmittance) -> None:
+    """Raise an error for data with more than one port."""
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
         hint = "measure the impedance between the electrodes, or save one port alone"
@@ -182,6 +262,10 @@ def fit(
             expected="one port",
             hint=hint,
         )
+
+
+def _require_keys(vary: object, part: str) -> None:
+    """Raise an error if no key varies."""
     if not vary:
         raise UsageError(
             "the option --vary is missing",
@@ -190,91 +274,6 @@ def fit(
             expected="--vary KEY, or --vary KEY=LOW:HIGH",
             hint="add for example  --vary damping.quality=10:200",
         )
-    keys = _varied_keys(loaded, part, vary)
-    body = _Body(loaded, part, measured, keys, progress, loaded)
-    with nullcontext(Path()) if out is None else stage_directory(out) as work:
-        descent = body.descent({item.key: item.axis for item in keys})
-        ends = _descents(descent)
-        end = _refine_end(descent, ends[0])
-        start = body.response(descent.reduced, values_of_part(keys))
-        record = _record(body, start, end, ends)
-        if out is None:
-            return record
-        lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
-        (work / VALUES_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (work / RANGES_FILE).write_text(
-            _calibrated_ranges(part, record["parameters"]), encoding="utf-8"
-        )
-        write_fit(work / PAGE_FILE, record, measured.f, body.Y, start, end.exact)
-    return {
-        **record,
-        "overrides": str(Path(out) / VALUES_FILE),
-        "box": str(Path(out) / RANGES_FILE),
-        "page": str(Path(out) / PAGE_FILE),
-    }
-
-
-def _require_linear(part: Part) -> None:
-    """Raise an error for a part without a linear model.
-
-    Raises
-    ------
-    UsageError : it has none.
-    """
-    if not isinstance(part.type, LinearBody):
-        raise UsageError(
-            "this part has no linear model",
-            where=part.name,
-            got=f"a part of type {part.type.name}",
-            expected="a body with electrodes, such as a disc or a piezo_stack",
-            hint="kc2spice explain SCENE lists the parts with their types",
-        )
-
-
-def _varied_keys(
-    scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
-) -> list[VariedKey]:
-    """Return the keys to vary with their ranges."""
-    ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
-    for key, span in ends.items():
-        if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
-            expected = "two numbers in SI units, or None for the default range"
-            hint = f'write {{"{key}": (LOW, HIGH)}}'
-            raise UsageError(
-                "this text is not a range", where=key, got=repr(span), expected=expected, hint=hint
-            )
-    result = []
-    for text, span in ends.items():
-        key, _, limits = text.partition("=")
-        value, unit = number_of(scene.part(part, where=part), key, key)
-        factor = LOSS_RANGE if _LOSS_KEY.search(key) else VALUE_RANGE
-        span = (_parse_range(key, limits) if limits else span) or (value / factor, value * factor)
-        result.append(make_varied(key, unit, value, span))
-    for name, count in Counter(map(attrgetter("key"), result)).items():
-        if count > 1:
-            raise UsageError(
-                "the same key is varied twice",
-                where=part,
-                got=name,
-                expected="each key once",
-                hint=f"delete one of the options --vary {name}",
-            )
-    return result
-
-
-def _parse_range(key: str, text: str) -> tuple[float, float]:
-    """Return the range of a key from its text."""
-    ends = text.split(":")
-    if len(ends) != 2:
-        raise UsageError(
-            "this text is not a range",
-            where=key,
-            got=text,
-            expected="LOW:HIGH in SI units",
-            hint=f"write {key}=LOW:HIGH, two numbers with a colon between them",
-        )
-    low, high = (parse_value(end, "", key) for end in ends)
-    return low, high
 
 
 @dataclass(frozen=True, eq=False)
@@ -591,10 +590,10 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
         exact = body.exact(values)
         left, J = descent.log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
-        free = np.array([not _is_at_bound(item, values[item.key]) for item in body.keys])
+        free = np.array([not is_at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
         excess = _noise_ratio(result)
-        pull = np.where(s * max(_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
+        pull = np.where(s * max(compute_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
         if np.abs(pull).max(initial=0.0) < CONVERGED_CHANGE * excess:
             return _DescentResult(values, result, end.box, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
@@ -614,7 +613,7 @@ def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
     UsageError : the values do not converge.
     """
     body = descent.body
-    widths = 0.5 * np.array(_log_widths(body.keys)) * RANGE_RATIO
+    widths = 0.5 * np.array(compute_log_widths(body.keys)) * RANGE_RATIO
     for _ in range(RANGE_COUNT):
         result = _correct_end(descent, end)
         if result is not None:
@@ -661,7 +660,7 @@ def _record(
     """
     solved, keys = end.solved, body.keys
     J, names = solved.jac, list(map(attrgetter("key"), body.keys))
-    widths = np.array(_log_widths(keys))
+    widths = np.array(compute_log_widths(keys))
     unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
     if unimportant.any():
         raise UsageError(
@@ -694,7 +693,7 @@ def _record(
             "sigma": abs(value) * deviation,
             "low": item.low,
             "high": item.high,
-            "at_bound": _is_at_bound(item, value),
+            "at_bound": is_at_bound(item, value),
         }
     best = min(ends, key=attrgetter("cost"))
     resonances = _match_resonances(body, start, end)
@@ -745,31 +744,6 @@ def _noise_ratio(solved: OptimizeResult) -> float:
     return max(1.0, rms_misfit(solved.fun, solved.jac.shape[1]))
 
 
-def _log_widths(keys: Sequence[VariedKey]) -> list[float]:
-    """Return the width of each key's range as the logarithm of the ratio of its ends."""
-    return [abs(float(np.log(item.high / item.low))) for item in keys]
-
-
-def _calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return ``rom.parameters`` of the part with ranges that contain calibrated parts.
-
-    Every key is within :data:`RANGE_ERRORS` standard errors of its value, and within its range.
-    """
-    result = []
-    for key, item in parameters.items():
-        half = max(RANGE_ERRORS * item["sigma"], MIN_HALF_WIDTH * abs(item["value"]))
-        low, high = sorted((item["low"], item["high"]))
-        ends = max(low, item["value"] - half), min(high, item["value"] + half)
-        result.append(f'"{key}" = [{ends[0]!r}, {ends[1]!r}]')
-    return f'"{part}.rom.parameters" = {{ {", ".join(result)} }}\n'
-
-
-def _is_at_bound(item: VariedKey, value: float) -> bool:
-    """Return whether a value is at an end of its key's range."""
-    nearest = min(abs(np.log(value / item.low)), abs(np.log(value / item.high)))
-    return bool(nearest < 1e-4 * abs(np.log(item.high / item.low)))
-
-
 def _match_resonances(
     body: _Body, start: np.ndarray, end: _DescentResult
 ) -> list[dict[str, float | None]]:
@@ -777,14 +751,6 @@ def _match_resonances(
 
     A resonance is a peak of the conductance.
     """
-    rows = [_find_resonances(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
+    rows = [find_resonances(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
     names = ("measured_hz", "start_hz", "fitted_hz")
     return [dict(zip(names, row, strict=True)) for row in zip_longest(*rows)]
-
-
-def _find_resonances(f: np.ndarray, Y: np.ndarray, noise: float) -> list[float]:
-    """Return the frequencies [Hz] of prominent peaks of the conductance above the noise."""
-    least = np.maximum(MIN_PROMINENCE * float(Y.real.max()), MIN_NOISE_RATIO * noise * np.abs(Y))
-    result, _ = find_peaks(Y.real, prominence=least)
-    frequencies: list[float] = f[result].tolist()
-    return frequencies

@@ -78,7 +78,7 @@ def rows(text):
          "kc2spice verify impact"),
         ("scenes --keys --parts", "--keys cannot be combined with --parts", "--keys", "then"),
         ("fit impact x.csv", "the name of the part is missing", "impact", "impact:PART"),
-        ("fit impact:sphere {table} --vary radius", "this part has no linear model", "sphere",
+        ("fit impact:sphere {table} --vary radius", "this part has no impedance", "sphere",
          "kc2spice explain"),
         ("fit buzzer_7bb_20_6:disc {table}", "the option --vary is missing", "no --vary", "--vary"),
         ("fit buzzer_7bb_20_6:disc {table} --vary damping.qualty",
@@ -262,7 +262,7 @@ def test_a_list_of_parts_becomes_tables_with_names():
 
 def test_a_fit_of_a_rigid_part_fails_before_its_data_are_read(cli):
     done = cli("fit", "duffing:mass", "nodata.csv", "--vary", "mass")
-    assert "this part has no linear model" in done.stderr
+    assert "this part has no impedance" in done.stderr
     assert "nodata.csv" not in done.stderr
 
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 from kc2spice.core.quantities import AIR_DENSITY, Section
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.parts.datasheet._ladders import Ladder, creep_ladder, semi_inductance_ladder
+from kc2spice.parts.datasheet._ladders import RelaxationLadder, creep_ladder, semi_inductance_ladder
 from kc2spice.parts.datasheet._resonator import TWO_PI
 from kc2spice.physics import Declaration, current, displacement
 from kc2spice.physics.declaration import Branch, branch
@@ -114,7 +114,7 @@ def _join_terms(*terms: str) -> str:
     return " + ".join(terms)
 
 
-def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Ladder) -> None:
+def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: RelaxationLadder) -> None:
     """Add the paths of eddy currents: ``le``, ``rss`` and those of ``1/(ke sqrt(s))``."""
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
@@ -147,7 +147,7 @@ def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Ladder) ->
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
 
 
-def _add_creep(terms: _Terms, creep: float, ladder: Ladder) -> None:
+def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
     """Add the suspension: the compliance c0 and the elements of creep in series.
 
     The displacement of each inner node is the stretch of one element, a spring beside a damper.
@@ -232,18 +232,25 @@ def motor(
     )
 
 
-def moving_mass(mass: float, air: float = 0.0) -> Declaration:
+def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
     """The cone, whose mass has nodes of its own in the netlist of the motor.
 
-    ``air`` [kg] is the part of ``mass`` that is the air load of radiation parts.
+    ``air`` [kg] is the part of ``mass`` that is the air load of radiation parts, and ``added`` is
+    fixed to the cone besides.
     """
-    radiating = [positive_parameter("air", air, "kg", AIR_NOTE)] if air else []
+    moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
+    if air:
+        moving += " - air"
+        params.append(positive_parameter("air", air, "kg", AIR_NOTE))
+    if added:
+        moving += " + added_mass"
+        params.append(positive_parameter("added_mass", added, "kg", "mass fixed to the cone"))
     return Declaration(
         "cone",
         "moving mass",
         Section,
         (displacement("m", "cone", "frame"),),
-        kinetic="0.5*(mms - air)*m_rate^2" if air else "0.5*mms*m_rate^2",
+        kinetic=f"0.5*{f'({moving})' if len(params) > 1 else moving}*m_rate^2",
         starts={"m": ("0", "0")},
-        given=(positive_parameter("mms", mass, "kg", "moving mass"), *radiating),
+        given=tuple(params),
     )

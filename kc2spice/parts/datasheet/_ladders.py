@@ -28,7 +28,7 @@ CREEP_ELEMENTS = 6  # elements of the ladder of creep: each further one divides 
 
 
 @dataclass(frozen=True)
-class Ladder:
+class RelaxationLadder:
     """Terms of a ladder, and its largest relative error in its band."""
 
     corners: tuple[float, ...]
@@ -49,7 +49,7 @@ def fit_ladder(
     band: tuple[float, float],
     count: int,
     ends: bool,
-) -> Ladder:
+) -> RelaxationLadder:
     """Fit a ladder to a response by least squares of the relative error.
 
     The unknowns are logarithms, so that all coefficients are positive. The corners begin at a
@@ -68,7 +68,7 @@ def fit_ladder(
 
     Returns
     -------
-    Ladder
+    RelaxationLadder
         Coefficients and largest relative error in the band.
 
     Examples
@@ -107,22 +107,22 @@ def fit_ladder(
     x = least_squares(residuals, np.concatenate(start), slopes, xtol=1e-12, ftol=1e-12).x
     values = np.exp(x).tolist()
     constant, integral = values[2 * count :] if ends else (0.0, 0.0)
-    ladder = Ladder(
+    ladder = RelaxationLadder(
         tuple(values[count : 2 * count]), tuple(values[:count]), constant, integral, 0.0
     )
     check = 1j * np.geomspace(*band, _CHECK_POINTS)
     error = float(np.abs(ladder.evaluate(check) / response(check) - 1).max())
-    return Ladder(ladder.corners, ladder.weights, constant, integral, error)
+    return RelaxationLadder(ladder.corners, ladder.weights, constant, integral, error)
 
 
 @cache
-def semi_inductance_ladder() -> Ladder:
+def semi_inductance_ladder() -> RelaxationLadder:
     """Return the ladder of the admittance ``1/sqrt(s)`` of one semi-henry."""
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 
 @cache
-def creep_ladder() -> Ladder:
+def creep_ladder() -> RelaxationLadder:
     """Return the ladder of ``ln(1 + 1/s)``, the increase of a compliance by creep.
 
     The frequency ``s`` is relative to the creep frequency.

@@ -36,7 +36,7 @@ from kc2spice.parts.datasheet._driver_keys import (
 from kc2spice.parts.datasheet._ladders import (
     CREEP_BAND,
     SEMI_INDUCTANCE_BAND,
-    Ladder,
+    RelaxationLadder,
     creep_ladder,
     semi_inductance_ladder,
 )
@@ -227,9 +227,8 @@ stop = "1 kHz"
             for side in _joined_sides(part, scene)
             if RADIATION in scene.joined_types(part.name, side)
         ]
-        if not sides or driver.sd is None:
-            return moving_mass(driver.mms)
-        return moving_mass(driver.mms, len(sides) * baffle_air_mass(driver.sd))
+        air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
+        return moving_mass(driver.mms, air, part.keys.added_mass)
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
         return ("cone",)
@@ -342,7 +341,9 @@ stop = "1 kHz"
         yield from self.neglected(part, scene)
 
 
-def _describe_ladder(key: str, ladder: Ladder, band: tuple[float, float], unit: float) -> str:
+def _describe_ladder(
+    key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
+) -> str:
     """Describe size, band and error of a ladder, with frequencies of the band in ``unit`` [Hz]."""
     low, high = (f"{unit * end:.3g}" for end in band)
     return (

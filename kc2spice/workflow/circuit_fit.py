@@ -1,0 +1,310 @@
+"""Fit of a part's keys to one or several measured impedances, by the equations of the scene.
+
+The model of each curve is the small-signal response of the whole scene, with the keys of the scene
+that differ in this measurement. The residuals of all curves are those of :mod:`.fit`::
+
+    log(Y_model / Y) / noise
+
+over logarithms of the values within their ranges.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import compress, zip_longest
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock, Progress
+from kc2spice.equations.networks import Network
+from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.parts.bodies._box import VariedKey, values_of_part
+from kc2spice.reference.small_signal import LinearisedSystem
+from kc2spice.reference.system import assemble_system
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+from kc2spice.workflow.fit_curves import Curve
+from kc2spice.workflow.fit_keys import (
+    compute_log_widths,
+    find_resonances,
+    is_at_bound,
+)
+from kc2spice.workflow.misfit import WARNING_MISFIT, estimate_covariance, rms_misfit
+from kc2spice.workflow.models import build_models
+
+MIN_NOISE = 1e-3  # smallest relative noise, below which contacts and temperature matter
+DIFFERENCE_STEP = 1e-5  # step of forward differences, in logarithms of values
+MAX_EVALUATIONS = 60
+# residual of values that the part cannot have, in units of the noise: the descent avoids them
+IMPOSSIBLE_RESIDUAL = 1e4
+MISFIT_ADVICE = (
+    "vary more keys, or restrict each curve by band to frequencies that the model covers"
+)
+
+
+def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.ndarray:
+    """Return the admittance (n,) [S] of a part: its current over its voltage in the scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with a source that has an ``ac`` amplitude.
+    part : str
+        Name of the part.
+    frequencies : (n,) array
+        Frequencies [Hz].
+
+    Raises
+    ------
+    UsageError : the part has no voltage and current, equations of a part are missing, or no source
+        drives the part.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> pins = {"a": "drive.out", "b": "gnd"}
+    >>> wire = {"part": "resistor", "resistance": "50 Ohm", "pins": pins}
+    >>> scene = kc.load_scene({"wire": wire, "drive": {"part": "source", "ac": "1 V"}})
+    >>> print(compute_admittance(scene, "wire", np.array([1e3])).real)
+    [0.02]
+    """
+    network = _find_network(scene, part)
+    system = assemble_system(network.laws, network.joins)
+    amplitudes = np.array(list(map(attrgetter("ac"), system.sources)), dtype=complex)
+    rates = 2j * np.pi * np.asarray(frequencies, dtype=float)
+    systems = [LinearisedSystem(system, rates[0]), LinearisedSystem(system, rates[-1])]
+    pairs = zip(*((s.F, s.G, s.C0, s.C1) for s in systems), strict=True)
+    constant = all(np.array_equal(first, last) for first, last in pairs)
+    result = np.zeros(len(rates), dtype=complex)
+    for k, rate in enumerate(rates):
+        linear = systems[0] if constant else LinearisedSystem(system, rate)
+        waves = dict(zip(system.names, linear.respond(rate, amplitudes), strict=True))
+        voltage = network.readings[f"{part}.v"].combine(waves)
+        if voltage == 0:
+            raise UsageError(
+                "no source drives this part",
+                where=part,
+                got="a voltage of 0 V",
+                expected="a source with an ac amplitude on the net of the part",
+                hint='add  ac = "1 V"  to the source',
+            )
+        result[k] = network.readings[f"{part}.i"].combine(waves) / voltage
+    return result
+
+
+def require_impedance(scene: Scene, part: str) -> None:
+    """Raise an error for a part whose impedance the equations of the scene do not give.
+
+    Raises
+    ------
+    UsageError : the part has no voltage and current, or equations of a part are missing.
+    """
+    _find_network(scene, part)
+
+
+def _find_network(scene: Scene, part: str) -> Network:
+    """Return the network that contains voltage and current of the part."""
+    kind = scene.part(part, where=part).type.name
+    laws = scene_laws(build_models(scene, Clock()))
+    needed = {f"{part}.v", f"{part}.i"}
+    if part not in laws.missing and not needed <= laws.equations[part].results.keys():
+        raise UsageError(
+            "this part has no impedance",
+            where=part,
+            got=f"a part of type {kind}",
+            expected="a body with electrodes, or a part with the results v and i",
+            hint="kc2spice explain SCENE lists the parts with their types",
+        )
+    if laws.missing:
+        raise UsageError(
+            "parts of the scene have no equations, so that no response can be fitted",
+            where=part,
+            got=", ".join(laws.missing),
+            expected="parts with equations only",
+            hint="replace these parts, such as a netlist, by resistors and sources",
+        )
+    return next(network for network in laws.networks if needed <= network.readings.keys())
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitFit:
+    """Least squares of all curves over logarithms of the keys."""
+
+    scene: Scene
+    part: str
+    curves: Sequence[Curve]
+    keys: Sequence[VariedKey]
+    progress: Progress
+    counted: list[int] = field(default_factory=lambda: [0])
+
+    @property
+    def fitted_curves(self) -> list[Curve]:
+        """Curves that are not only predicted."""
+        return [curve for curve in self.curves if not curve.predict]
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends (keys,) of the logarithms of the absolute values."""
+        ends = np.log(np.abs([[item.low, item.high] for item in self.keys]))
+        return ends.min(axis=1), ends.max(axis=1)
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """Return the values of the keys at the logarithms ``x`` (keys,)."""
+        signs = np.sign([item.low for item in self.keys])
+        values = signs * np.exp(np.clip(x, *self.bounds))
+        return dict(zip(map(attrgetter("key"), self.keys), values.tolist(), strict=True))
+
+    def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values of the keys by the dotted names that they have in the scene."""
+        return {f"{self.part}.{key}": value for key, value in values.items()}
+
+    def admittance(self, curve: Curve, values: Mapping[str, float]) -> np.ndarray:
+        """Return the admittance (n,) [S] of the scene of one curve."""
+        self.counted[0] += 1
+        self.progress("fit", None, f"response {self.counted[0]}")
+        overrides = {**self.name_scene_keys(values), **curve.overrides}
+        return compute_admittance(load_scene(self.scene, overrides), self.part, curve.data.f)
+
+    def residuals(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return real parts, then imaginary parts (2 n,) of all curves over the noise."""
+        rows = []
+        for curve in self.fitted_curves:
+            ratio = np.log(self.admittance(curve, values) / curve.Y)
+            rows.append(ratio / max(curve.data.noise, MIN_NOISE))
+        result = np.concatenate(rows)
+        return np.concatenate([result.real, result.imag])
+
+    def deviation(self, x: np.ndarray) -> np.ndarray:
+        """Return the residuals at the logarithms ``x``, large ones for impossible values."""
+        try:
+            return self.residuals(self.values(x))
+        except (UsageError, SimulationError):
+            count = sum(len(curve.data.f) for curve in self.fitted_curves)
+            return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2 n, keys) by differences towards the inside of the range."""
+        columns, middle, first = [], np.mean(self.bounds, axis=0), self.deviation(x)
+        for k in range(len(x)):
+            step = np.zeros_like(x)
+            step[k] = DIFFERENCE_STEP if x[k] <= middle[k] else -DIFFERENCE_STEP
+            columns.append((self.deviation(x + step) - first) / step[k])
+        return np.column_stack(columns)
+
+    def solve(self) -> OptimizeResult:
+        """Return the solution of the least squares from the scene's values.
+
+        Raises
+        ------
+        UsageError : the scene of a curve is not valid at the first values.
+        """
+        values = values_of_part(self.keys)
+        self.residuals(values)  # errors of the scene appear here, with their own words
+        start = np.log(np.abs(list(values.values())))
+        return least_squares(
+            self.deviation, start, self.jacobian, self.bounds,
+            x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=MAX_EVALUATIONS,
+        )  # fmt: skip
+
+
+def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
+    """Fit the keys, and return the content of ``fit --json`` and the responses.
+
+    The entry ``responses`` contains the admittances of each curve before and after the fit.
+
+    Raises
+    ------
+    UsageError : a key does not change the impedance, or the scene of a curve is not valid.
+    """
+    keys, solved = problem.keys, problem.solve()
+    names, widths = list(map(attrgetter("key"), keys)), np.array(compute_log_widths(keys))
+    J, values = solved.jac, problem.values(solved.x)
+    unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
+    if unimportant.any():
+        raise UsageError(
+            "this key does not change the impedance",
+            where=", ".join(compress(names, unimportant)),
+            got="a change below the noise of the data",
+            expected="a key that changes the impedance",
+        )
+    misfit = rms_misfit(solved.fun, len(keys))
+    _, s, Vt = np.linalg.svd(J, full_matrices=False)
+    scatter = estimate_covariance(J, solved.fun, widths)
+    sigma = np.sqrt(np.diag(scatter))
+    weak = 4 * max(1.0, misfit) > s * widths.max()
+    parameters = {}
+    for item, deviation in zip(keys, sigma.tolist(), strict=True):
+        value = values[item.key]
+        parameters[item.key] = {
+            "value": value,
+            "sigma": abs(value) * deviation,
+            "low": item.low,
+            "high": item.high,
+            "at_bound": is_at_bound(item, value),
+        }
+    responses, rows, sizes = [], [], []
+    for curve in problem.curves:
+        before = problem.admittance(curve, values_of_part(keys))
+        after = problem.admittance(curve, values)
+        size = np.abs(np.abs(curve.Y / after) - 1)  # relative error of |Z|
+        responses.append((curve, before, after))
+        rows.append(_describe_curve(curve, size))
+        if not curve.predict:
+            sizes.append(size)
+    caution = None
+    if misfit > WARNING_MISFIT:
+        caution = (
+            f"the model does not describe the data: a misfit of {misfit:.1f} times the noise; "
+            f"{MISFIT_ADVICE}"
+        )
+        warnings.warn(f"{where}: {caution}", stacklevel=3)
+    size = np.concatenate(sizes)
+    return {
+        "part": problem.part,
+        "data": where,
+        "parameters": parameters,
+        "values": problem.name_scene_keys(values),
+        "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
+        "curves": rows,
+        "identifiable": not weak.any(),
+        "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
+        "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
+        "noise": float(np.median([curve.data.noise for curve in problem.fitted_curves])),
+        "misfit": misfit,
+        "caution": caution,
+        "resonances": _match_resonances(*responses[0]),
+        "starts": [{**values, "cost": float(solved.cost)}],
+        "other_minima": 0,
+        "models": 0,
+        "notes": [note for curve in problem.curves for note in curve.data.notes],
+        "responses": responses,
+    }
+
+
+def _describe_curve(curve: Curve, size: np.ndarray) -> dict[str, Any]:
+    """Return a curve with the relative errors (n,) of its |Z|."""
+    return {
+        "data": Path(curve.data.where).name,
+        "set": dict(curve.overrides),
+        "predict": curve.predict,
+        "rms": float(np.sqrt(np.mean(size**2))),
+        "largest": float(size.max()),
+    }
+
+
+def _match_resonances(
+    curve: Curve, before: np.ndarray, after: np.ndarray
+) -> list[dict[str, float | None]]:
+    """Return the resonances of the first curve: measured, of the scene and fitted."""
+    data = curve.data
+    rows = [find_resonances(data.f, Y, data.noise) for Y in (curve.Y, before, after)]
+    names = ("measured_hz", "start_hz", "fitted_hz")
+    return [dict(zip(names, row, strict=True)) for row in zip_longest(*rows)]
