@@ -20,6 +20,11 @@ Power = Literal[
 ]
 Side = Literal["across", "through"]
 BASE, AMBIENT, SIGNAL = "base", "ambient", "-"
+HEAT = "heat"  # pin and flow of the heat that a part gives off
+HEAT_PINS = (
+    f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
+    f"1 A out of {HEAT} is 1 W of all losses of the part"
+)
 SPICE_UNITS = "V", "A"  # units across and through the nodes of a simulator
 
 

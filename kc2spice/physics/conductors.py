@@ -11,10 +11,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from kc2spice.core.domains import AMBIENT, HEAT, THERMAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, si
-from kc2spice.physics.declaration import COEFFICIENT, HEAT, REFERENCE
-from kc2spice.scene.model import DeclaredScene, Part
+from kc2spice.physics.declaration import COEFFICIENT, REFERENCE
+from kc2spice.scene.model import GROUND, DeclaredScene, Part, Terminal
+
+HEAT_TERMINALS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUND)
 
 
 class ConductorKeys(Section):

@@ -38,7 +38,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Any
 
-from kc2spice.core.domains import AMBIENT, QUANTITIES, Domain
+from kc2spice.core.domains import AMBIENT, HEAT, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
@@ -67,8 +67,7 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-HEAT = "heat"  # pin and flow of the heat that a part gives off
-TEMPERATURE = "temperature"  # coordinate at this pin, the rise over the pin ``ambient``
+TEMPERATURE = "temperature"  # coordinate at the pin of heat, the rise over the pin ``ambient``
 HEATING = "heating of the coil"  # effect that a part with a pin of heat does not neglect
 COEFFICIENT, REFERENCE = "temperature_coefficient", "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
@@ -226,10 +225,6 @@ ONE_TEMPERATURE = (
     "differences of temperature within the part",
     "all losses heat one place",
     "not estimated",
-)
-HEAT_PINS = (
-    f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
-    f"1 A out of {HEAT} is 1 W of all losses of the part"
 )
 
 # Where a term belongs that an equation must not contain.

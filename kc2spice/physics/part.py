@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kc2spice.core import laws
-from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
+from kc2spice.core.domains import HEAT, HEAT_PINS, SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.waveforms import Waveforms, integrate_running
@@ -28,7 +28,7 @@ from kc2spice.physics.cards import (
     subcircuit_items,
 )
 from kc2spice.physics.conductors import conductor_values, is_heated, refuse_conductor_keys
-from kc2spice.physics.declaration import HEAT, HEAT_PINS, Branch, Declaration
+from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
 from kc2spice.physics.lookups import TableFunction

@@ -12,8 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.domains import BASE, ELECTRICAL, ROTATION, TRANSLATION, Domain
+from kc2spice.core.domains import (
+    BASE,
+    ELECTRICAL,
+    HEAT,
+    HEAT_PINS,
+    ROTATION,
+    TRANSLATION,
+    Domain,
+)
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.naming import names_of
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
@@ -40,6 +49,13 @@ from kc2spice.synthesis.header import (
     rom_comments,
 )
 from kc2spice.synthesis.heat import heat_cards, is_heat_model
+from kc2spice.synthesis.heat_sources import (
+    HEAT_PIN_ROWS,
+    LOSS_NODE,
+    meter_cards,
+    moving_loss_card,
+    relaxing_loss_card,
+)
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -324,6 +340,7 @@ def subcircuit(
     dense: bool = False,
     weights: StepWeights = RINGING_WEIGHTS,
     noise: bool = False,
+    heat: bool = False,
 ) -> Subcircuit:
     """Write one ``.subckt`` with the pins of every port of a linear model.
 
@@ -357,6 +374,8 @@ def subcircuit(
         How closely the step control of the simulator follows the modes of the resonator form.
     noise : bool, default False
         Whether the losses have thermal noise.
+    heat : bool, default False
+        Whether the losses leave by a pin ``heat``, relative to a pin ``ambient``.
 
     Returns
     -------
@@ -367,7 +386,7 @@ def subcircuit(
     ------
     UsageError : no linear model, an unknown port, a name that the subcircuit has for itself, a
         model without state-space form or, with ``noise``, without symmetric matrices, capacitances
-        between electrodes that no passive network has.
+        between electrodes that no passive network has, or, with ``heat``, coupled losses.
 
     Examples
     --------
@@ -397,6 +416,8 @@ def subcircuit(
     if ports is not None:
         rom = rom.select(list(ports))
     network = None if dense else parallel_branches(rom)
+    if heat and (network is not None or is_heat_model(rom)):
+        raise _unknown_losses(name, "a heat model, or the network of a measured response")
     if network is not None:
         return _network_subcircuit(network, rom, name, header, rating)
     if is_heat_model(rom):
@@ -407,10 +428,16 @@ def subcircuit(
         form = _decouple_states(rom, dense)
     terminals = model_terminals(rom, form.D, name)
     pins, base = subcircuit_pins([t for t in terminals if not t.is_noise], name)
+    if heat:
+        _require_distinct_pins((*pins, *HEAT_PIN_ROWS), (LOSS_NODE,), name)
+    losses: list[Line] = []
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
         params = (DAMPING_PARAMETER,) if np.any(form.damp > 0) else ()
         about, body = _resonator_cards(form, rom, terminals, base, weights, noise)
+        losses = list(_loss_cards(form, terminals, base)) if heat else []
+    elif heat:
+        raise _unknown_losses(name, "a model of coupled states, or ports that are signals")
     else:
         about, body = _block_cards(form, rom, terminals, base)
         if base == "ref":
@@ -420,7 +447,28 @@ def subcircuit(
     cards = about, body
     mesh = mesh_comment(rom.facts)
     return make_subcircuit(
-        rom, name, pins, base, params, header, cards, mesh=mesh, title=title, rating=rating
+        rom,
+        name,
+        pins,
+        base,
+        params,
+        header,
+        cards,
+        losses=losses,
+        mesh=mesh,
+        title=title,
+        rating=rating,
+    )
+
+
+def _unknown_losses(name: str, got: str) -> UsageError:
+    """Return the error of a model whose netlist has no pin of heat."""
+    return UsageError(
+        "the losses of this model are not known, so that it has no pin of heat",
+        where=name,
+        got=got,
+        expected="a body with electrodes or mechanical ports, whose damping does not couple modes",
+        hint=f"leave the pin {HEAT} out",
     )
 
 
@@ -478,9 +526,12 @@ def make_subcircuit(
     within: str = "",
     mesh: str = "",
     others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
+    losses: Sequence[Line] = (),
     **words: str,
 ) -> Subcircuit:
     """Return the subcircuit of a reduced model with its header.
+
+    The cards ``losses`` follow those of the model. They add the pins of heat.
 
     ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
     pivots. ``words`` are the title, the rating and the validity of the head.
@@ -491,12 +542,21 @@ def make_subcircuit(
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     first = ("", *pivot_cards(base)) if base else ()
-    names, items = tuple(map(attrgetter("name"), pins)), attach_comments([*first, *body])
+    names, items = tuple(names_of(pins)), attach_comments([*first, *body])
     circuit = Circuit(name, names, parameter_defaults_of(params), items)
     reduction = None
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
         reduction = _summarise_reduction(circuit, pins, rom.order, certificate, compared)
+    absent = "no hysteresis, depolarisation or heating"
+    if losses:
+        absent = "no hysteresis or depolarisation; nothing follows the temperature"
+        pins = (*pins, *HEAT_PIN_ROWS)
+        ends, items = (
+            tuple(map(attrgetter("name"), pins)),
+            attach_comments([*first, *body, *losses]),
+        )
+        circuit = replace(circuit, pins=ends, items=items)
     head = part_header(
         header,
         f"{name}: {words['title']}",
@@ -504,11 +564,12 @@ def make_subcircuit(
         params,
         rom=rom_comments(reduction, certificate) if reduction and certificate else (),
         mesh=mesh,
+        heat=HEAT_PINS if losses else "",
         sign=OUTWARDS_TEXT,
         rating=words["rating"],
         validity=words.get("valid")
         or f"small signals{band}{within} at the temperature of its "
-        "data (20 to 25 C, of built-in materials); no hysteresis, depolarisation or heating",
+        f"data (20 to 25 C, of built-in materials); {absent}",
     )
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"
@@ -912,6 +973,30 @@ def _resonator_cards(
                 source = Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, charge)
                 body.append(source.between(base, f"charge{t.tag}"))
     return about, body
+
+
+def _loss_cards(model: Resonators, terminals: Sequence[PortTerminal], base: str) -> Iterator[Line]:
+    """Yield the meter and the heat flows of all modes with losses.
+
+    In the symbols of :func:`_resonator_cards` a mode with inertia has the velocity ``z' = w p / s``
+    and loses ``d z'^2``. A state without inertia loses ``(w^2 / s)^2 (f - q)^2 / d`` with the drive
+    ``f = (s / w^2) sum_k g_k u_k``.
+    """
+    order = _order_observable_modes(model)
+    omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
+    size = MICRO / scale_modes(gain, terminals)
+    yield from meter_cards()
+    for j in np.flatnonzero(damp > 0).tolist():
+        index, q, p = j + 1, f"q{j + 1}", f"p{j + 1}"
+        w, d, unit = map(float, (omega[j], damp[j], size[j]))
+        if model.inertia[order[j]] > 0:
+            velocity = (p, q) if d < LIGHT_DAMPING * w else (p, base)
+            yield moving_loss_card(index, velocity, d * (w * unit) ** 2)
+            continue
+        row = STATE_CONDUCTANCE * gain[j] / (unit * w**2)
+        sources = drive_mode(index, row, terminals, base)
+        drives = [(float(g.value), g.plus, g.minus) for g in sources if g.value]
+        yield relaxing_loss_card(index, drives, (q, base), (w**2 * unit) ** 2 / d)
 
 
 def _describe_resonators(

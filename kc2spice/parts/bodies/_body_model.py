@@ -166,6 +166,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if has_complex_constants(part):
             problem = "a netlist with parameters can only have viscous damping"
             raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
+        if self.gives_off_heat(part, scene):
+            problem = "a netlist with parameters has no pin of heat"
+            raise wrong(
+                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none"
+            )
         if scene.analysis.type == "noise":
             problem = "a netlist with parameters has no thermal noise"
             raise wrong(

@@ -15,6 +15,7 @@ from kc2spice.parts.bodies._body_model import BodyModel
 from kc2spice.parts.bodies._body_ports import flow_name, paired_ports, wave_name
 from kc2spice.parts.bodies._box import varied_keys
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.pencil import first_order
@@ -27,6 +28,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
+from kc2spice.synthesis.heat_sources import METER
 from kc2spice.synthesis.realize import (
     COARSE_WEIGHTS,
     RINGING_WEIGHTS,
@@ -56,7 +58,10 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return its part number, or :meth:`scene_library` if it has none."""
         scene_name = self.scene_library(part, scene)
-        return make_identifier(part.keys.number, part.name) if part.keys.number else scene_name
+        if not part.keys.number:
+            return scene_name
+        number = make_identifier(part.keys.number, part.name)
+        return f"heated_{number}" if self.gives_off_heat(part, scene) else number
 
     def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return the names of scene and part: one folder may contain libraries of many scenes."""
@@ -82,7 +87,12 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             return (parametric_subcircuit(result, name, params, header, **words),)
         return (
             subcircuit(
-                build.model(part, LinearModel), name, header, **words, noise=build.has_noise
+                build.model(part, LinearModel),
+                name,
+                header,
+                **words,
+                noise=build.has_noise,
+                heat=self.gives_off_heat(part, build.scene),
             ),
         )
 
@@ -105,12 +115,14 @@ class BodyNetlist(BodyModel[LinearKeysT]):
                 flow = find_current_into(part, port.terminals[0], build) if port.charged else None
                 if flow is not None:
                     result[flow_name(part.name, ports, port)] = flow
+        if self.gives_off_heat(part, build.scene):
+            result |= heat_vectors(part, build, METER)
         return result
 
     def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | None:
         model = build.model(part, LinearModel)
-        ports, n = model.ports, part.name
-        heat, last = is_heat_model(model), build.scene.pins(part.name)[-1].name
+        ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
+        heat, last = is_heat_model(model), self.reference(part, build.scene).name
         if build.net(part, last) != "0" and not heat:  # its reference
             return None
         pins = []
@@ -125,6 +137,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         if not signals and (mixed or model.first_order != heat):
             return None
         law: laws.Law
+        modal = None
         if not model.pencil.is_dense:
             law = laws.PortBody(n, model, law_ports)
         elif signals:
@@ -149,4 +162,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
                 results[name] = laws.scaled_wave(mine)
             if port.charged:
                 results[flow_name(n, ports, port)] = laws.scaled_wave(f"{mine}.through")
-        return laws.Equations((law,), tuple(joins), results)
+        result = laws.Equations((law,), tuple(joins), results)
+        if not heated:
+            return result
+        if isinstance(law, laws.SecondOrderBody) and modal is not None:
+            return add_loss_heat(result, law)
+        return None  # the losses of coupled states are not known

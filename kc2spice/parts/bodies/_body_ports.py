@@ -8,12 +8,13 @@ from itertools import filterfalse, product
 
 import numpy as np
 
-from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
+from kc2spice.core.domains import AMBIENT, BASE, HEAT, PORTS, REFERENCES, THERMAL, TRANSLATION
 from kc2spice.core.errors import unknown
 from kc2spice.core.naming import names_of
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, TouchablePart
+from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import (
@@ -80,6 +81,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
             return every
         names = required_ports(part, scene)
         known = {"ground", *REFERENCES}.union(*map(_names_in_scene, every))
+        if self.gives_off_heat(part, scene):
+            known |= {HEAT, AMBIENT}
         _require_ports(part, sorted(names - known), names_of(every))
         if scene.ports == "declared" and part.declares:
             return every
@@ -112,13 +115,31 @@ class BodyPorts(TouchablePart[LinearKeysT]):
                 out = port.kind == "output"
                 result.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
         last = reference_pin(ports)
-        return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
+        heat = HEAT_TERMINALS if self.gives_off_heat(part, scene) else ()
+        return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
+
+    def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
+        """Whether the scene joins the pin of heat, by which the losses leave.
+
+        A body with a port of this name has no such pin, and no body of heat either.
+        """
+        if not is_heated(part, scene):
+            return False
+        ports = self.ports(part, scene)
+        return all(p.name != HEAT and p.domain is not THERMAL for p in ports)
+
+    def reference(self, part: Part[LinearKeysT], scene: WiredScene) -> Terminal:
+        """Return the pin that is the reference of all single pins."""
+        last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
+        return scene.pins(part.name)[last]
 
     def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> Rest:
         """Return the paths from all pins to its reference."""
-        last = scene.pins(part.name)[-1]
+        last = self.reference(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().at_rest(part, scene).paths
+        if self.gives_off_heat(part, scene):
+            paths = tuple(path for path in paths if HEAT not in path)
         return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
 
     def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:

@@ -108,7 +108,10 @@ class MeshedBody(LinearBody[FieldKeysT]):
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
         yield from neglected_effects(
-            part.name, self.envelope(part, scene), self.describe_support(part)
+            part.name,
+            self.envelope(part, scene),
+            self.describe_support(part),
+            heated=self.gives_off_heat(part, scene),
         )
 
     @abstractmethod

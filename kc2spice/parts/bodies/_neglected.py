@@ -16,6 +16,7 @@ import numpy as np
 
 from kc2spice.core.quantities import AIR_DENSITY
 from kc2spice.fem.materials import material
+from kc2spice.physics.declaration import ONE_TEMPERATURE
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
@@ -105,10 +106,13 @@ def box_envelope(sides: Sequence[float]) -> Envelope:
     return Envelope(disc_air(radius), None, surface)
 
 
-def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[Neglected]:
+def neglected_effects(
+    name: str, envelope: Envelope, support: str, *, heated: bool
+) -> Iterator[Neglected]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    If ``support`` names the mounting, its compliance is one of the effects.
+    If ``support`` names the mounting, its compliance is one of the effects. A ``heated`` body has a
+    pin by which its losses leave.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
@@ -120,6 +124,10 @@ def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[N
     yield Neglected(
         f"{name}: hysteresis, depolarisation", "linear material law", NOT_ESTIMATED_TEXT
     )
+    if heated:
+        what, why, size = ONE_TEMPERATURE
+        yield Neglected(f"{name}: {what}", f"{why}, and no constant follows it", size)
+        return
     kelvin = 1e-3 / (COOLING_COEFFICIENT * envelope.surface)
     why = "constants of one temperature"
     size = f"{kelvin:.2g} K for each mW that it dissipates, "

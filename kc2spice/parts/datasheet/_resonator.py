@@ -15,21 +15,26 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.figure import Figure
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
+from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.prefixes import abbreviate
 from kc2spice.netlist.spelling import LEAK_RATE, format_comment
 from kc2spice.parts.datasheet._stated_values import Relation
+from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
+from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
 from kc2spice.scene.model import (
     Build,
     GovernedScene,
@@ -39,9 +44,11 @@ from kc2spice.scene.model import (
     PartType,
     Scene,
     Terminal,
+    WiredScene,
 )
-from kc2spice.scene.rows import Neglected, Vector
+from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.scene.settings import PartNumber
+from kc2spice.synthesis.heat_sources import HEAT_PIN_ROWS, METER, heat_source, meter_cards
 
 TWO_PI = 2 * math.pi
 
@@ -140,9 +147,10 @@ class NumberedPart(PartType[KeysT]):
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         number = getattr(part.keys, "number", None)
-        return (
-            make_identifier(number, part.name) if number else super().subcircuit_name(part, scene)
-        )
+        if not number:
+            return super().subcircuit_name(part, scene)
+        result = make_identifier(number, part.name)
+        return f"heated_{result}" if is_heated(part, scene) else result
 
 
 class ResonatorPart(NumberedPart[KeysT]):
@@ -181,7 +189,13 @@ class ResonatorPart(NumberedPart[KeysT]):
         return (
             Terminal(plus, "V", "A", required=True, rated=rated),
             Terminal(minus, "V", "A", None if joined else "gnd", required=joined, rated=rated),
+            *(HEAT_TERMINALS if is_heated(part, scene) else ()),
         )
+
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
+        """Return the paths between its pins except the pin of heat, which has none."""
+        paths = super().at_rest(part, scene).paths
+        return Rest(tuple(path for path in paths if HEAT not in path))
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
@@ -190,10 +204,14 @@ class ResonatorPart(NumberedPart[KeysT]):
 
         content = self.netlist(part, self.circuit(part, build.scene))
         name, pins = build.libraries[part.name], tuple(Pin(end, "V", "A") for end in self.ends)
+        heated = is_heated(part, build.scene)
+        pins += HEAT_PIN_ROWS if heated else ()
         title = f"{name}: {self.title}"
-        head = part_header(header, title, pins, content.params, rating=self.rating)
-        items = tuple(_cards(content, *self.ends))
-        circuit = Circuit(name, self.ends, parameter_defaults_of(content.params), items, notes=head)
+        words: dict[str, Any] = {"rating": self.rating, "heat": HEAT_PINS if heated else ""}
+        head = part_header(header, title, pins, content.params, **words)
+        items = (*_cards(content, *self.ends), *(_heat_cards(content) if heated else ()))
+        ends, defaults = tuple(names_of(pins)), parameter_defaults_of(content.params)
+        circuit = Circuit(name, ends, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
         return (
             Subcircuit(
@@ -212,6 +230,8 @@ class ResonatorPart(NumberedPart[KeysT]):
             result[f"{part.name}.voltage"] = Vector(across, 1.0, "V")
         meter = f"i(v.x{part.name.lower()}.vmeter)"
         result[f"{part.name}.current"] = Vector(meter, 1.0, "A", (minus,), (plus,))
+        if is_heated(part, build.scene):
+            result |= heat_vectors(part, build, METER)
         return result
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
@@ -234,7 +254,8 @@ class ResonatorPart(NumberedPart[KeysT]):
             f"{n}.voltage": laws.wave_difference(f"{n}.{plus}", f"{n}.{minus}"),
             f"{n}.current": laws.scaled_wave(f"{n}.{plus}.through"),
         }
-        return laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
+        result = laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
+        return add_loss_heat(result, body) if is_heated(part, build.scene) else result
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         from kc2spice.parts.bodies._linear_body import impedance_metrics, measured_impedance
@@ -288,6 +309,14 @@ def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
         yield Element.of(f"Cm{n}", capacitor, minus, f"{{cm{n}}}")
     total = "+".join(("c0", *(f"cm{n}" for n in content.modes)))
     yield Element.of("Gleak", "inner", minus, "inner", minus, f"{{{LEAK_RATE:g}*({total})}}")
+
+
+def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
+    """Meter of the pin of heat, and the power of each motional resistance as a heat flow."""
+    yield from attach_comments(meter_cards())
+    for n in content.modes:
+        drop = f"V(inner,motion{n})"
+        yield heat_source(n, f"{drop}*{drop}/rm{n}")
 
 
 def tolerance_note(value: float, tolerance: float | None) -> str:

@@ -31,6 +31,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
@@ -49,7 +50,6 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.physics.declaration import HEAT
 from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency

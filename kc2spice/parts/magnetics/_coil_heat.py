@@ -6,22 +6,19 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kc2spice.core.domains import AMBIENT, THERMAL
+from kc2spice.core.domains import HEAT
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics.conductors import ConductorKeys, conductor_values
 from kc2spice.physics.declaration import (
     COEFFICIENT,
-    HEAT,
     REFERENCE,
     TEMPERATURE,
     write_resistance_ratio,
 )
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Balance, Check, Metric
-from kc2spice.scene.model import GROUND, Terminal
 
-PINS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUND)
 _UNEXPLAINED = 1e-3  # fraction of the heat that the steps of a run may lose
 
 

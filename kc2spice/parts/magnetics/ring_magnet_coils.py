@@ -18,7 +18,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.cache import load_or_build
-from kc2spice.core.domains import AMBIENT, BASE, DISPLACEMENT, TRANSLATION
+from kc2spice.core.domains import AMBIENT, BASE, DISPLACEMENT, HEAT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.magnets import (
@@ -42,8 +42,13 @@ from kc2spice.parts.magnetics import _coil_heat
 from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impact_penetration
 from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
 from kc2spice.physics import coils
-from kc2spice.physics.conductors import ConductorKeys, is_heated, refuse_conductor_keys
-from kc2spice.physics.declaration import HEAT, HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
+from kc2spice.physics.conductors import (
+    HEAT_TERMINALS,
+    ConductorKeys,
+    is_heated,
+    refuse_conductor_keys,
+)
+from kc2spice.physics.declaration import HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
 from kc2spice.physics.part import across_vector, declared_subcircuit, flow_vector
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.model import (
@@ -172,7 +177,7 @@ def coils_subcircuit(
     )
     ends = ALL_PINS if apart else SERIES_PINS
     if wire is not None:
-        stated, ends = coils.add_heat_pin(stated, *wire), (*ends, *_coil_heat.PINS)
+        stated, ends = coils.add_heat_pin(stated, *wire), (*ends, *HEAT_TERMINALS)
     pins = tuple(Pin(end.name, end.unit, end.flow) for end in ends)
     tables = coils.list_tables(table, points)
     return declared_subcircuit(header, name, stated, {}, tables=tables, pins=pins)
@@ -196,7 +201,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
     def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
-        thermal = _coil_heat.PINS if is_heated(part, scene) else ()
+        thermal = HEAT_TERMINALS if is_heated(part, scene) else ()
         if not has_real_coils(part, scene):
             rest = None if _is_driven(part, scene) else "gnd"
             return (

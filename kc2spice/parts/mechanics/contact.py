@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 
 from kc2spice.core import laws
+from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
 from kc2spice.core.prefix import format_quantity
@@ -24,8 +25,9 @@ from kc2spice.parts.mechanics._touching import (
     make_pair,
 )
 from kc2spice.physics import Declaration, DeclaredPart
-from kc2spice.physics.cards import force_node
+from kc2spice.physics.cards import force_node, meter_name
 from kc2spice.physics.contact import SPACING_NOTE, Normal, declare_contact
+from kc2spice.physics.loss_heat import heat_vectors
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import SOLUTION_PAIRS, Balance, Check, Gate, Metric, motion_error_limit
@@ -84,10 +86,11 @@ class Contact(DeclaredPart[ContactKeys]):
         return _declare(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        d = _declare(make_pair(part, scene), Normal(1.0, friction=part.keys.friction))
-        ends = {"rail": "gnd", "base": "gnd"}
+        law = Normal(1.0, damping=part.keys.damping, friction=part.keys.friction)
+        d = self._with_heat_pin(_declare(make_pair(part, scene), law), part, scene)
+        ends = {"rail": "gnd", "base": "gnd", AMBIENT: "gnd"}
         return tuple(
-            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
+            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name in ("slide", HEAT))
             for p in make_pins(d)
         )
 
@@ -142,7 +145,7 @@ class Contact(DeclaredPart[ContactKeys]):
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         n, pair, d = part.name, make_pair(part, build.scene), self.declared(part, build.scene)
-        card = f"@b.x{n}.b{{}}[i]"
+        card, heated = f"@b.x{n}.b{{}}[i]", self.resolved_declaration(part, build.scene).heat_branch
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
         result = {}
         for port in pair.ports:
@@ -155,6 +158,8 @@ class Contact(DeclaredPart[ContactKeys]):
         ends = {"force": (("v", "b", INDENTATION_PIN), ("va",))}
         for word, by in _sum_factors(pair).items():
             result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
+        if heated is not None:
+            result |= heat_vectors(part, build, meter_name(heated))
         return result
 
     def metrics(

@@ -1,0 +1,122 @@
+"""Heat that the losses of a linear body or resonator give off: results and law.
+
+:mod:`kc2spice.synthesis.heat_sources` writes the same heat flows as cards of a netlist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core import laws
+from kc2spice.core.domains import AMBIENT, HEAT, THERMAL, TRANSLATION
+from kc2spice.netlist.spelling import format_voltage
+from kc2spice.physics.declaration import TEMPERATURE
+from kc2spice.scene.model import Build, Part
+from kc2spice.scene.rows import Vector
+
+
+@dataclass(frozen=True)
+class LossHeat(laws.Device):
+    """Heat flow ``sum weight rate^2`` [W] out of ``heat``, of the rates of its other pins."""
+
+    name: str
+    weights: tuple[float, ...]
+
+    @property
+    def rate_pins(self) -> tuple[str, ...]:
+        """Pins whose rates the losses depend on."""
+        return tuple(map("loss{}".format, range(len(self.weights))))
+
+    @property
+    def pins(self) -> tuple[laws.LawPin, ...]:
+        """Pins of rates and of heat."""
+        rates = (laws.LawPin(pin, TRANSLATION.name) for pin in self.rate_pins)
+        ends = laws.LawPin(HEAT, THERMAL.name), laws.LawPin(AMBIENT, THERMAL.name, grounded=True)
+        return (*rates, *ends)
+
+    @property
+    def taps(self) -> tuple[laws.Tap, ...]:
+        """Rates of the pins, and the temperature of the pin of heat."""
+        rates = (laws.Tap(pin, rate=True) for pin in self.rate_pins)
+        return (*rates, laws.Tap(HEAT, AMBIENT))
+
+    @property
+    def flows(self) -> tuple[laws.Flow, ...]:
+        """Heat flow into ``heat``, which is negative."""
+        return (laws.Flow(HEAT, AMBIENT),)
+
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the heat flow and its derivatives."""
+        slope = -2 * np.array([*self.weights, 0.0]) * e
+        return np.array([slope @ e / 2]), slope[None]
+
+    def loss(self, e: np.ndarray, mode: Any) -> float:
+        """Return the product of temperature and heat flow, as Tellegen's theorem needs it."""
+        return float(e[-1] * self.evaluate(e, mode)[0][0])
+
+
+def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws.Equations:
+    """Add the heat flow of all losses to the equations of a body with a diagonal ``E``.
+
+    Parameters
+    ----------
+    equations : Equations
+        Pins and results of the body.
+    body : SecondOrderBody
+        Law of the body, whose model has modes as unknowns.
+
+    Returns
+    -------
+    Equations
+        The equations with the pins ``heat`` and ``ambient``. Displacements of the body are further
+        ports, whose rates determine the losses.
+    """
+    model, n = body.model, body.name
+    damping = np.diag(model.E)
+    lossy = np.flatnonzero(damping > 0)
+    # a port with the largest gain of its mode does not change the error scales of the integrator
+    reach = np.abs(model.B).max(axis=1)[lossy]
+    reach = np.where(reach > 0, reach, 1.0)
+    rows = np.zeros((len(lossy), len(damping)))
+    rows[np.arange(len(lossy)), lossy] = reach
+    heat = LossHeat(f"{n} losses", tuple(map(float, damping[lossy] / reach**2)))
+    size = len(lossy)
+    known = model.ports[0]
+    ports = tuple(type(known)(pin, TRANSLATION.port) for pin in heat.rate_pins)
+    wider = replace(
+        model,
+        B=np.hstack([model.B, rows.T]),
+        C=np.vstack([model.C, rows]),
+        D=np.pad(model.D, ((0, size), (0, size))),
+        ports=(*model.ports, *ports),
+        certificate=None,
+    )
+    more = tuple(laws.LawPort(pin, TRANSLATION.name) for pin in heat.rate_pins)
+    body = replace(body, model=wider, ports=(*body.ports, *more))
+    ends = tuple((pin, f"{heat.name}.{pin}") for pin in (HEAT, AMBIENT))
+    results = {
+        f"{n}.{TEMPERATURE}": laws.wave_difference(*(pin for _, pin in ends)),
+        f"{n}.{HEAT}": laws.scaled_wave(f"{heat.name}.{HEAT}.through"),
+    }
+    nets = tuple((f"{n}.{pin}", f"{heat.name}.{pin}") for pin in heat.rate_pins)
+    return replace(
+        equations,
+        laws=(body, heat),
+        pins=(*equations.pins, *ends),
+        results=equations.results | results,
+        nets=(*equations.nets, *nets),
+    )
+
+
+def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
+    """Return the temperature of the pin of heat, and the heat flow into it, by its ``meter``."""
+    flow = f"i(v.x{part.name}.{meter})".lower()
+    result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}
+    across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT))
+    if across:
+        result[f"{part.name}.{TEMPERATURE}"] = Vector(across, 1.0, THERMAL.across.unit)
+    return result

@@ -1,0 +1,84 @@
+"""Cards of the heat that the losses of a model of resonators give off.
+
+The mode ``m z'' + d z' + w^2 z = sum_k g_k u_k`` loses the power ``d z'^2`` [W]. A netlist of modes
+has ``z'`` as a voltage if the mode has inertia. Otherwise ``z' = (sum_k g_k u_k - w^2 z) / d``.
+These relaxations include the dielectric loss of :func:`kc2spice.rom.modal.add_dielectric_loss`.
+Input are the modes of :mod:`kc2spice.synthesis.realize`, output are sources of heat flow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from kc2spice.core.domains import AMBIENT, HEAT, THERMAL
+from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.elements import Line
+from kc2spice.netlist.spelling import format_number
+
+LOSS_NODE = "losses"  # inner node at which all heat flows meet
+METER = "Vheat"  # current into the pin of heat
+HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
+_COMMENT = (
+    "",
+    f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
+)
+_LEAST_DAMPING = "1p"  # scale of the damping in a quotient, so that zero is no division by zero
+
+
+def meter_cards() -> Iterator[Line]:
+    """Yield the meter of the pin of heat, which all heat flows meet."""
+    yield from _COMMENT
+    yield Element.of(METER, HEAT, LOSS_NODE, "0")
+
+
+def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
+    """Return the heat flow of a mode with inertia.
+
+    Parameters
+    ----------
+    index : int
+        Number of the mode.
+    velocity : tuple of str
+        Nodes between which the voltage is its velocity.
+    power : float
+        Power [W] at 1 V and a parameter ``damping`` of one.
+
+    Examples
+    --------
+    >>> moving_loss_card(1, ("p1", "base"), 2e-3).expression
+    'damping*0.002*V(p1,base)*V(p1,base)'
+    """
+    square = "*".join(["V({},{})".format(*velocity)] * 2)
+    return heat_source(index, f"damping*{format_number(power)}*{square}")
+
+
+def relaxing_loss_card(
+    index: int, drives: Sequence[tuple[float, str, str]], node: tuple[str, str], power: float
+) -> Element:
+    """Return the heat flow of a state without inertia.
+
+    Parameters
+    ----------
+    index : int
+        Number of the state.
+    drives : sequence of tuple
+        Factors of the voltages that drive the state, and the nodes of these voltages.
+    node : tuple of str
+        Nodes between which the voltage is the state.
+    power : float
+        Power [W] at 1 V between the drive and the state, and a parameter ``damping`` of one.
+
+    Examples
+    --------
+    >>> relaxing_loss_card(2, [(0.5, "a", "b")], ("q2", "base"), 3e-6).expression
+    '3e-06*(0.5*V(a,b)-V(q2,base))*(0.5*V(a,b)-V(q2,base))/max(damping,1p)'
+    """
+    sums = "+".join(f"{format_number(factor)}*V({a},{b})" for factor, a, b in drives)
+    apart = f"({sums.replace('+-', '-')}-V({node[0]},{node[1]}))"
+    law = f"{format_number(power)}*{apart}*{apart}/max(damping,{_LEAST_DAMPING})"
+    return heat_source(index, law)
+
+
+def heat_source(tag: int | str, law: str) -> Element:
+    """Return the source of a heat flow [W] by its ``law``; ``tag`` ends its name."""
+    return Element.behaviour(f"Bheat{tag}", AMBIENT, LOSS_NODE, "I", law)
