@@ -1,10 +1,10 @@
-"""Writes docs/evidence/devices.md: published numbers beside those of three models.
+"""Write docs/evidence/devices.md: published values beside the values of three models.
 
 python tools/published_table.py [SCENE ...]
 
-Every device is a scene of the gallery or of docs/published; nothing is fitted. With names, only
-these are computed, and the page keeps its rows and pictures of all others; all of them take some
-minutes.
+Every device is a built-in scene or a scene in docs/published. No property of a device is fitted.
+The program computes the rows of the named scenes and copies all other rows and pictures from the
+old page. Without names it computes all rows in some minutes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -80,27 +80,39 @@ The models have textbook materials and the dimensions of the data sheet or paper
 fitted. `kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
 `kc2spice explain NAME` prints the error estimate of the mesh.
 
-- *full* is the finite-element model.
-- *reduced* is the model from which the subcircuit is made.
-- *ngspice* is a run of the emitted netlist.
-- *difference* is the relative difference of the ngspice value, or of the full model if there is no
-  ngspice value, to the published value.
-- *within* states whether the difference is within the tolerance of the source.
+- *full*: value of the finite-element model.
+- *reduced*: value of the reduced model, which becomes the subcircuit.
+- *ngspice*: value of the emitted netlist in ngspice.
+- *difference*: relative difference between the ngspice value and the published value. If there is
+  no ngspice value, the value of the full model is compared.
+- *within*: yes if the difference is within the tolerance of the source.
 - A dash marks values that do not apply.
-- *measured* marks measured values of one device. All other values come from data sheets, closed
-  forms or finite elements of other programs.
-- *assumed* marks rows that depend on a key that the source does not give.
+- *measured*: the published value was measured on one device. All other published values come from
+  data sheets, closed forms or finite elements of other programs.
+- *assumed*: the row depends on a value that the source does not state.
 
-Discs are free plates. Data sheets state values of discs that are supported at the node, which
-changes the resonance by a tenth of a percent. If the source gives all inputs, *full* and *reduced*
-are independent time integrations of the equations. `python tools/published_table.py` writes this
+The models of the discs have no supports. The discs of the data sheets are supported at a nodal
+circle, which changes the resonance by 0.1 %. If the source states all inputs, independent time
+integrations compute *full* and *reduced*. `python tools/published_table.py` writes this
 page from `docs/published.toml`.
 
 {origin}
 
-| scene | quantity | published | full | reduced | ngspice | difference | within |
-|---|---|---|---|---|---|---|---|
 """
+TABLE_HEAD = """\
+| scene | quantity | published | full | reduced | ngspice | difference | within |
+|---|---|---|---|---|---|---|---|"""
+# Heading of each table, and the ends of the names of its metrics. The first match counts.
+TABLES = {
+    "Resonances and other frequencies": ("_hz",),
+    "Capacitances and admittances": ("_f", "_siemens"),
+    "Velocities, forces and numbers of contacts": ("_m_s", "_n", "impacts"),
+    "Stiffness and damping": ("_n_m", "_n_s_m"),
+    "Displacements and heights": ("_m",),
+    "Times": ("_s",),
+    "Voltages and currents": ("_v", "_a"),
+    "Temperature rises": ("_k",),
+}
 ASSUMPTIONS = (
     "The sources do not state the values below. Rows that depend on these values do not test the "
     "model."
@@ -217,9 +229,8 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
         answers = verify_scenes([scene], out)["scenes"][scene.name]["answers"]
     else:
         answers = {"ngspice": run_scene(scene, out)["metrics"]}
-    names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
     paths = [answers.get(path, {}) for path in ("fom", "rom", "ngspice")]
-    return {key: Answer(*(path.get(key) for path in paths)) for key in names}, out
+    return {key: Answer(*(path.get(key) for path in paths)) for key in quantities(entry)}, out
 
 
 def solver(name: str, entry: Mapping[str, Any]) -> Solver:
@@ -245,9 +256,41 @@ SOLVERS: dict[str, Solver] = {
 }  # fmt: skip
 
 
+def table_of(quantity: str) -> str:
+    """Heading of the table that contains a quantity."""
+    for heading, ends in TABLES.items():
+        if quantity.endswith(ends):
+            return heading
+    raise ValueError(f"no table for the quantity {quantity}")
+
+
+def divide_rows(published: Mapping[str, Any], lines: Sequence[str]) -> str:
+    """Return one table for each kind of quantity, with the rows in ``lines``."""
+    headings = {
+        f"| `{name}` | {scaled(entry, quantity)[0]} |": table_of(quantity)
+        for name, entry in published.items()
+        for quantity in quantities(entry)
+    }
+    tables: dict[str, list[str]] = {heading: [] for heading in TABLES}
+    for line in lines:
+        start = "|".join(line.split("|")[:3]) + "|"
+        tables[headings[start]].append(line)
+    return "\n\n".join(
+        "\n".join([f"### {heading}\n", TABLE_HEAD, *members])
+        for heading, members in tables.items()
+        if members
+    )
+
+
+def quantities(entry: Mapping[str, Any]) -> list[str]:
+    """Names of the published metrics of a device."""
+    return [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
+
+
 def scaled(entry: Mapping[str, Any], quantity: str) -> tuple[str, float, str]:
     """Words, factor to SI and unit, with the prefix that suits the published value."""
     label, unit, text = shown(quantity)
+    label = entry[quantity].get("label", label)
     if quantity in UNITS or not text:
         return label, unit, text
     size = abs(entry[quantity]["value"])
@@ -300,16 +343,18 @@ def slew() -> list[str]:
 
 
 def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
-    """The whole text, in which what is not among the ``names`` is as in the ``old`` one; copies the
-    pictures beside it."""
+    """Return the new page and copy its pictures.
+
+    Rows of scenes that are not among the ``names`` are copied from the ``old`` page.
+    """
     figures = ROOT / "docs" / "figures" / "devices"
     figures.mkdir(parents=True, exist_ok=True)
     lines: list[str] = []
-    kept = old.partition("\n## ")[0].splitlines()  # the table of numbers stands above all headings
+    old_rows = old.partition("\n## ")[0].splitlines()
     shared = {name: load_scene(name, []).title for name in PICTURES.keys() - published.keys()}
     for name, entry in published.items():
         if name not in names:
-            lines += [line for line in kept if line.startswith(f"| `{name}` |")]
+            lines += [line for line in old_rows if line.startswith(f"| `{name}` |")]
             continue
         found, out = solver(name, entry)(name, entry)
         lines += rows(name, entry, found)
@@ -328,7 +373,7 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
     if "kick_slew" in names:
         edges = slew()
     reasons = [
-        f"- `{name}`, {shown(quantity)[0]}: {reason}."
+        f"- `{name}`, {scaled(entry, quantity)[0]}: {reason}."
         for name, entry in published.items()
         for quantity, reason in entry.get("misses", {}).items()
     ]
@@ -342,7 +387,7 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
         for name, entry in published.items()
     ]
     parts = [
-        "\n".join(lines), "## Values outside of the tolerance", "\n".join(reasons),
+        divide_rows(published, lines), "## Values outside of the tolerance", "\n".join(reasons),
         "## Assumptions", ASSUMPTIONS, "\n".join(assumed),
         "## Height of the kick over the slew rate of the driver", KICKS, "\n".join(edges),
         "## Pictures", "\n\n".join(sorted(pictures)),
