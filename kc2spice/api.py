@@ -152,14 +152,15 @@ def run(
     out : str or Path, optional
         Directory for the files that ``kc2spice run`` writes. By default no file is kept.
     deck : str or Path, optional
-        Netlist of this scene that was edited by hand. The deck is simulated instead of that of the
-        scene.
+        Netlist of this scene that was edited by hand. The deck is simulated instead of the deck of
+        the scene.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
         ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI units,
         instead of the Python file beside the scene. A run that is repeated with other settings
-        begins at time 0 again. A function with a memory must then reset it; a file is read again.
+        begins at time 0 again. A function with a memory must then reset its memory. A Python file
+        is read again.
     overrides : mapping, optional
         Values by dotted key, as for :func:`kc2spice.load_scene`.
 
@@ -227,8 +228,8 @@ def run(
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """Simulate a deck in ngspice and return its waves.
 
-    Metrics and checks need the parts of a scene. :func:`run` computes them, also for a netlist that
-    was edited by hand and is given as its ``deck``.
+    Metrics and checks need the parts of a scene. :func:`run` computes them, also for an edited
+    netlist that is its argument ``deck``.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def export(
 
     Raises
     ------
-    UsageError : an unknown dialect, or one that has no words for a part of the scene.
+    UsageError : an unknown dialect, or a dialect that cannot represent a part of the scene.
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
 
     Examples
@@ -334,7 +335,7 @@ def verify(
     out : str or Path, optional
         Directory of ``verify.json`` and ``verify.html``. By default no files are written.
     full : bool, optional
-        Whether full models are followed to the end of the scene and solved at all frequencies.
+        Whether full models are computed to the end of the scene and at all frequencies.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
 
@@ -433,7 +434,7 @@ class Result:
     def plot(self, *names: str) -> Any:
         """Draw waves or one of ``figures``; without names, draw the first of ``figures``.
 
-        Waves of one unit share a pair of axes; complex ones are drawn by magnitude. Returns a
+        Waves of one unit share a pair of axes. Complex waves are drawn by magnitude. Returns a
         matplotlib figure that notebooks show by themselves; ``.savefig(path)`` writes it.
 
         Raises

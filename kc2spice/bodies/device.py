@@ -81,10 +81,10 @@ class Setup:
     floating : nodes of each electrode without pin: one potential, no charge.
     shapes, faces : ports of forces and moments.
     base : ports of base acceleration and their direction (3,).
-    graded : nodes and the part of the first pin's voltage that each has: planes of electrodes
+    graded : nodes and their fractions of the voltage of the first pin, for planes of electrodes
         within elements.
-    lumped : masses [kg] (nodes,) on top of those of the solid.
-    springs : stiffness [N/m] (d nodes, d nodes) on top of that of the solid.
+    lumped : additional masses [kg] (nodes,).
+    springs : additional stiffness [N/m] (d nodes, d nodes).
     sectors : number of equal solids that move identically; the model represents all of them.
     """
 
@@ -113,7 +113,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     Raises
     ------
     UsageError : electrodes or rigid faces touch each other, damping per material lacks a quality,
-        or the mesh needs more memory than there is.
+        or the mesh needs more memory than is free.
     """
     timer = StepTimer()
     bare, volts = make_undamped_model(solid, setup), _estimate_depoling_voltage(solid, setup)
@@ -426,13 +426,12 @@ class BondedBlocks:
     ----------
     electrodes : faces of each pin; voltages are counted from the ``cathode``.
     floating : faces of each equipotential without charge.
-    ports : each the mean displacement upwards of a face, whose force is spread evenly over it, or
-        that of a point.
+    ports : mean upward displacement of a face with an even force, or displacement of a point.
     fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are fixed.
     masses : [kg] spread over faces.
-    moved : whether the port ``base`` is the acceleration of the support, upwards.
+    moved : whether the port ``base`` is the upward acceleration of the support.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
-    like : body of the same blocks with other sizes, whose mesh is reused with displaced nodes.
+    like : body of equal blocks with other sizes; its mesh is reused with displaced nodes.
     where : the part, for errors.
     """
 
@@ -576,7 +575,7 @@ class BondedBlocks:
 
 
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sort edges, merge those that only rounding separates, and number each edge."""
+    """Sort edges, merge edges that differ only by rounding, and number each edge."""
     points = np.unique(edges)
     points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1

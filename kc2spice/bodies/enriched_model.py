@@ -55,7 +55,7 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Return whether frequencies and energies differ little from those of other corrections."""
+        """Return whether frequencies and energies differ little between two corrections."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -235,7 +235,7 @@ def _find_free_functions(
 
 
 def _has_separate_unknown(prolongation: sparse.csc_array) -> np.ndarray:
-    """Return a mask of the nodal values that depend on an unknown of their own."""
+    """Return a mask of the nodal values that depend on an independent unknown."""
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
     result = np.diff(rows.indptr) == 1

@@ -1,7 +1,7 @@
 """Finite-element models of heat in solids, with pins for heat sources and temperatures.
 
-The unknowns z are temperature rises over the ambient temperature: those of the free nodes, one of
-each isothermal face, and one behind each film that has a pin. With ``T = P z`` and the matrices of
+The unknowns z are temperature rises over the ambient temperature: one of each free node, one of
+each isothermal face, and one behind each film with a pin. With ``T = P z`` and the matrices of
 :mod:`kc2spice.fem.heat_conduction`,
 
     E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P + films with pins,

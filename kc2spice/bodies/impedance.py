@@ -109,7 +109,7 @@ def _require_resonance(
 ) -> None:
     """Reject a fitted circuit if the maximum of the conductance is not a resonance.
 
-    The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
+    Dielectric losses, or rounding errors of a body without loss, also cause such maxima.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
     # the remainder is the loss of the dielectric and of other modes

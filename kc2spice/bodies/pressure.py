@@ -10,23 +10,24 @@ by the same ``S w = s 1``. Then
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
 where S is that of a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is
-that of the patch on the coarse mesh of the same round stack. The sum restores the compliance that
-the coarse mesh lacks. The difference between the round stack and the real one is smooth, and thus
-equal for all basis functions. It is dynamic, and the port of the patch includes it. The matrix is
-positive semi-definite because ``S - s 1 1'`` is (s is the least compliance of all shares), and
-because a coarse mesh is too stiff.
+the compliance of the patch on the coarse mesh of the same round stack. The sum restores the
+compliance that the coarse mesh lacks. The difference between the round stack and the real one is
+smooth, and thus equal for all basis functions. It is dynamic, and the port of the patch includes
+it. The matrix is positive semi-definite because ``S - s 1 1'`` is (s is the least compliance of
+all shares), and because a coarse mesh is too stiff.
 
 The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
 the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
 sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
 depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
 
-The other side may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis, on
-quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
-of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
-the height above the pole. A grid of the angles x, along the surface, and y, along the axis, has
-right angles everywhere and, at the pole, the lines of the basis. The other pole is at infinity. The
-mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1e-5 of the mass.
+The counterpart may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis.
+Its quadrilaterals grow with the distance from the lowest point. The conformal map ``zeta = w / (1
+- i w / 2R)`` of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the
+half disc, h the height above the pole. A grid of the angles x, along the surface, and y, along the
+axis, has right angles everywhere and, at the pole, the lines of the basis. The other pole is at
+infinity. The mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1e-5
+of the mass.
 
 Displacements of the sphere are relative to its centre of mass. The rigid motion of the sphere along
 the axis is t (n,), its mass ``m = t' M t``. Forces F at the ports B act together with the inertia
@@ -130,7 +131,8 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 class LocalCompliance(EqualByContent):
     """Compliance of basis functions in addition to the compliance of their patch.
 
-    ``compliance`` (n, n) [m/N] is the additional one, ``patch`` [m/N] that of the whole patch.
+    ``compliance`` (n, n) [m/N] is the additional compliance, and ``patch`` [m/N] is the compliance
+    of the whole patch.
     """
 
     compliance: np.ndarray
@@ -150,7 +152,7 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
 
     Raises
     ------
-    SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
+    SimulationError : the coarse mesh is softer than the graded mesh, which indicates a bad mesh.
     """
     S = compute_surface_compliance(chip, shape)
     # round stack of the same layers with the same mesh under the patch
@@ -314,9 +316,9 @@ def fit_indentation_law(
 
     Each function has the ``gap`` (n,) [m] below the sphere. Functions come into contact one by one,
     and their force is n straight lines: it differs from the converged force by up to a quarter of
-    (spacing / contact's radius)^2. The work ``J = int F dx`` is a minimum over all pressures, of
-    second order in their error. The law is the derivative of the polynomial that fits J, for
-    contacts at least :data:`MIN_FUNCTIONS` functions wide.
+    (spacing / contact's radius)^2. The work ``J = int F dx`` is a minimum over all pressures, so
+    its error is of second order in the errors of the pressures. The law is the derivative of the
+    polynomial that fits J, for contacts at least :data:`MIN_FUNCTIONS` functions wide.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # Hertz: half of the pressure remains at this radius
@@ -441,7 +443,7 @@ def _model_free_sphere(
 
 
 def _extend_angles(angles: np.ndarray) -> np.ndarray:
-    """Extend ``angles`` [rad] by steps that grow, and shrink again towards pi."""
+    """Extend ``angles`` [rad] to pi by steps that first grow and then shrink."""
     result = list(angles)
     while (
         result[-1] + 2 * (step := min(CELL_GROWTH * (result[-1] - result[-2]), MAX_CELL_ANGLE))

@@ -1,8 +1,8 @@
 """The multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
-One quarter of the stack is meshed, because all four quarters move in the same way. The paper asks
-for a mapped mesh (2.2.2): with nodes on concentric circles one force per ring is exact. A *level*
-is one element over the height: one layer, or several layers as one medium if ``layers_per_element``
+One quarter of the stack is meshed, because all four quarters move in the same way. The paper uses
+a mapped mesh (2.2.2): with nodes on concentric circles, one force per ring is exact. A *level* is
+one element over the height: one layer, or several layers as one medium if ``layers_per_element``
 allows this. The electrodes determine the field in each layer. Thus m layers in parallel at one
 voltage are one layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
 
@@ -44,15 +44,16 @@ def make_stack(
 ) -> FiniteElementModel:
     """Make the stack with ring ports ring0, ring1, ... and the anode, and its values.
 
-    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. Those on the bottom face z = 0
-    depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none if
-    ``free``, or springs along all three axes, each ``mounting`` N/m per m^2. A stack poled along x
-    moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only if a
-    plane of nodes lies inside an active layer.
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. The supports of the bottom face z =
+    0 depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none
+    if ``free``, or springs along all three axes, each ``mounting`` N/m per m^2. A stack poled
+    along x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist
+    only if a plane of nodes lies inside an active layer.
 
-    The unknowns are those of one quarter. The quarters share a force on a whole ring, and each has
-    the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. A ``pressure``,
-    straight lines over radii [m] and zero beyond them, replaces the rings by one mechanical port.
+    The unknowns describe one quarter. The quarters share a force on a whole ring, and each has
+    the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. A ``pressure``
+    replaces the rings by one mechanical port. The pressure is piecewise linear over radii [m], and
+    zero beyond the last radius.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
     """Choose the number of layers in each level, from the bottom up.
 
     The number is at most ``layers_per_element``, and no level is thicker than :data:`LEVEL_GROWTH`
-    of its depth below the top.
+    times its depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -170,8 +171,8 @@ def cap_layers(kick: Chip, cap: Cap | None) -> int:
 def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     """Place the nodes of a plane on a lattice (rings + 1, spokes + 1, 2).
 
-    Row 0 repeats the centre. Nodes divide arcs and straight edges into equal parts. Beyond the last
-    ring they lie on straight lines.
+    Row 0 repeats the centre. Nodes divide arcs and straight edges into equal parts. Beyond the
+    last ring the nodes are on straight lines.
     """
     mesh, half = kick.mesh, kick.half
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)

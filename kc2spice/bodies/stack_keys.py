@@ -32,7 +32,7 @@ PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
 class ChipMesh(Section):
     """In-plane polar mesh of a stack.
 
-    ``refine`` divides every edge of a cell, also along the height, into that many.
+    ``refine`` divides every edge of a cell, also along the height, into this number of edges.
     """
 
     refine: Count = Field(
@@ -188,7 +188,7 @@ class Chip(Section):
 
         Raises
         ------
-        UsageError : no such material, or none that is isotropic about z.
+        UsageError : the material does not exist, or is not isotropic about z.
         """
         table = self.material
         if not isinstance(table, str):

@@ -61,8 +61,8 @@ class UndampedResponses:
 
     Attributes are displacements (n, …). ``static`` is the response to 1 V at each electrical port.
     ``pushed`` is the response to 1 N at the first mechanical port, (n, 1), or (n, 0) without one.
-    ``modes`` are the lowest modes with shorted electrical ports that these loads excite; those of a
-    body without electrical ports are its lowest modes. ``rigid`` are rigid-body modes. ``facts``
+    ``modes`` are the lowest modes with shorted electrical ports that these loads excite; a body
+    without electrical ports has its lowest modes here. ``rigid`` are rigid-body modes. ``facts``
     are numbers by name. ``solve`` applies the inverse of the shifted stiffness.
     """
 
@@ -79,14 +79,14 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 
     The facts are
 
-    * the capacitances of electrical ports, those of others than the first under their names, each
-      with the other ports shorted,
-    * the stroke per volt of the first mechanical port, under its name,
-    * the lowest resonances that the electrical ports excite, with all electrodes shorted and with
+    * the capacitances of electrical ports, each with the other ports shorted; names of ports other
+    than the first are in the key, * the stroke per volt of the first mechanical port, under its
+    name, * the lowest resonances that the electrical ports excite, with all electrodes shorted and
+    with
       all open. In a body without electrical ports, the other ports excite the modes.
 
-    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. A resonance
-    that is not among the lowest modes is left out.
+    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. Resonances
+    beyond the lowest modes are left out.
     """
     e = [k for k, port in enumerate(model.ports) if port.electrical]
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
@@ -125,7 +125,7 @@ def _solve_static(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute displacements (n, ports) under a constant unit load at each port.
 
-    The results are those with the shift and those without.
+    The results are the responses with and without the shift.
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load

@@ -71,17 +71,17 @@ def load_or_build(
     classes: Iterable[type] = (),
     sources: Iterable[str] = (),
 ) -> T:
-    """Return the stored result of an earlier ``build()``, or that of a new one.
+    """Return the stored result of an earlier ``build()``, or the result of a new call.
 
     Parameters
     ----------
     kind : sub-directory for this kind of result.
     key : values on which the result depends: scene sections, numbers, strings, lists, mappings.
     build : makes the result: dataclasses, arrays, tuples, dicts with string keys, numbers, strings,
-        None, nested at will.
+        None, in any nesting.
     classes : dataclasses that may occur in the result; no other class is ever restored.
-    sources : modules or packages of kc2spice whose source text the result depends on; those of
-        ``classes`` are added.
+    sources : modules or packages of kc2spice whose source text the result depends on; the modules
+    of ``classes`` are added.
 
     A directory that cannot be written costs the time of a new build, with a warning, never a
     failure. If another process is building the same entry, the function waits for this process.
@@ -102,7 +102,8 @@ def load_or_build(
 
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
-    """Keep other processes from building the same entry; without locks two may do so."""
+    """Prevent other processes from building the same entry; without file locks, two may build
+    it."""
     lock = path.with_name(f".{path.stem}.lock.part")  # deleted like any other .part file
     with ExitStack() as stack:
         with contextlib.suppress(OSError):

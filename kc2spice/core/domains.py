@@ -68,7 +68,7 @@ class Domain:
     name of the output wave in a first deck and ``compliance`` the unit of a static output for
     each input. The value across a pin counts from the pin ``reference``; without one, ports are
     pairs of pins. ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is
-    the domain whose quantity shakes the frame that ``across`` is relative to.
+    the domain whose quantity accelerates the frame of reference of ``across``.
 
     In a domain with a ``path`` every net needs a path to the reference: ``path`` describes it in
     words, and ``path_part`` is a part type that makes it. Without a path, the net has no operating

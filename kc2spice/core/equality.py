@@ -1,8 +1,8 @@
 """Equality of records that contain arrays.
 
 The ``==`` that ``dataclass`` generates compares fields with ``==``, whose result for two arrays is
-an array without a truth value. Records of values derive from :class:`EqualByContent`; classes
-that do something are equal by identity, ``@dataclass(eq=False)``.
+an array without a truth value. Records of values derive from :class:`EqualByContent`; classes with
+behaviour are compared by identity, ``@dataclass(eq=False)``.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def unknown(
     where: str | None = None,
     command: str | None = None,
 ) -> UsageError:
-    """Make the error of a ``name`` that is not ``known``; it lists similar names.
+    """Make the error of a ``name`` that is not ``known``; the error lists similar names.
 
     ``command`` is the command line that lists all known names.
     """

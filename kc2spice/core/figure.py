@@ -20,8 +20,8 @@ class Curve(EqualByContent):
     A value that is not finite is a gap.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
-    up to the next point), ``bar`` (bars as wide as the points are apart), ``o`` (points), ``o-``
-    (points and a line). ``names`` (n,) of the points are shown where the pointer is.
+    up to the next point), ``bar`` (bars without gaps), ``o`` (points), ``o-`` (points and a line).
+    ``names`` (n,) of the points are shown where the pointer is.
     """
 
     label: str
@@ -72,7 +72,7 @@ class Panel:
 class Figure:
     """Panels above each other with one x axis, or in a grid of ``columns``.
 
-    Panels in a grid have their own axes. ``name`` is that of the file, without suffix. ``main``
+    Panels in a grid have their own axes. ``name`` is the name of the file without suffix. ``main``
     marks the most important curve of a scene.
     """
 

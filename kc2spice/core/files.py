@@ -33,9 +33,9 @@ _ABANDONED_AGE = 60.0  # s after which a work directory without a running owner 
 def stage_directory(out: Path | str) -> Iterator[Path]:
     """Provide a directory whose files move to ``out`` when the block succeeds.
 
-    If the block raises, nothing was written and earlier results in ``out`` are as they were.
-    Files are moved by rename under a lock on ``out``: two runs into one directory finish one after
-    the other, and no program reads an incomplete file.
+    If the block raises an error, nothing is written, and earlier results in ``out`` stay
+    unchanged. Files are moved by rename under a lock on ``out``: two runs into one directory
+    finish one after the other, and no program reads an incomplete file.
 
     Raises
     ------

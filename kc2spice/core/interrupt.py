@@ -1,6 +1,6 @@
 """Signal handlers that end the program even during a long call of a numerical library.
 
-Python handles a signal between two of its own instructions, but the factorisation of a large matrix
+Python handles a signal between two bytecode instructions, but the factorisation of a large matrix
 is one instruction that takes minutes. Therefore a separate thread waits for each signal. The thread
 ends the process and its children if the main thread does not begin to handle the signal.
 """
@@ -24,9 +24,9 @@ INTERRUPT_MESSAGE = b"kc2spice: interrupted; nothing was written\n"
 def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
     """Convert signals to exceptions that stop simulators and remove files.
 
-    Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit. A program that still runs
-    after ``grace`` [s] ends at once, with the same exit code 128 + signal. Handlers that the caller
-    has set remain.
+    Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit. After ``grace`` [s] the
+    program ends immediately, with the same exit code 128 + signal. Handlers that the caller has
+    set remain.
 
     A KeyboardInterrupt that leaves the block ends the program with that exit code too. After the
     block, signals are ignored and cannot change the exit code. Otherwise the interpreter would

@@ -128,8 +128,9 @@ class SecondOrderBody:
     The ``model`` has a dense ``pencil`` of second order, or of first order without M. The unknowns
     of the body are unknowns of the system of equations.
 
-    A port with ``D`` must be electrical or acoustic or have an own positive compliance. Energy and
-    loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``, ``x' K x``.
+    A port with ``D`` must be electrical or acoustic, or its compliance in ``D`` must be positive.
+    Energy and loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``,
+    ``x' K x``.
     """
 
     name: str
@@ -211,7 +212,8 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class Tap:
-    """Input of a device: across quantity of ``pin`` minus ``minus`` and ``less``, or its rate."""
+    """Input of a device: across quantity of ``pin`` minus those of ``minus`` and ``less``, or its
+    rate."""
 
     pin: str
     minus: str = ""
@@ -242,7 +244,7 @@ class Device(ABC):
 
     Flows that are ``charged`` contain the rates of further entries of ``store`` as well. A mode
     lasts while every guard is positive. ``start`` [m], [m/s] are the initial values of the first
-    tap and of its rate. Without it these begin at equilibrium.
+    tap and of its rate. Without ``start``, the tap and its rate begin at equilibrium.
     """
 
     name: str
@@ -298,7 +300,7 @@ class Device(ABC):
 
     @property
     def stores_quantities(self) -> bool:
-        """Whether the device stores other quantities than its states."""
+        """Whether the device stores quantities that differ from its states."""
         return type(self).store is not Device.store and bool(self.states or self.charged)
 
     @abstractmethod
@@ -347,7 +349,7 @@ class Device(ABC):
         """Return the mode after ``guard`` fell to zero."""
         return mode
 
-    def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws hold anywhere)
+    def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
         """Raise SimulationError if the inputs are outside of the law's range."""
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
@@ -386,7 +388,7 @@ class PortBody(Device):
     charges [C] and signals, in the order of the rows of C. Forces and currents are unknowns of the
     device, with the equations ``u = y(a)`` and ``dq(a)/dt = i``.
 
-    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the relation at rest and that at a
+    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the relation at rest and at a
     frequency. An integrator makes the relations of time steps.
     """
 

@@ -61,8 +61,8 @@ def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> Piecewise:
 
     With two or three points the result is a line or a parabola.
 
-    Unknown are the second derivatives s at the nodes; equal slopes from both sides, with
-    ``h = diff(x)`` and ``d = diff(values) / h``, ask for ::
+    Unknown are the second derivatives s at the nodes; equal slopes from both sides require, with
+    ``h = diff(x)`` and ``d = diff(values) / h`` ::
 
         h[j-1] s[j-1] + 2 (h[j-1] + h[j]) s[j] + h[j] s[j+1] = 6 (d[j] - d[j-1])
 
@@ -118,8 +118,8 @@ def current_products(i1: Any, i2: Any) -> np.ndarray:
 class Coenergy:
     """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height ``y`` [m].
 
-    The derivative of W with respect to the height is the force [N], those with respect to the
-    currents are the flux linkages [Wb].
+    The derivative of W with respect to the height is the force [N], and the derivatives with
+    respect to the currents are the flux linkages [Wb].
     """
 
     terms: Piecewise  # p (..., 6)
@@ -160,7 +160,8 @@ class Coenergy:
 
 
 def _current_hessian(p: np.ndarray) -> np.ndarray:
-    """Return the second derivatives (..., 2, 2) of ``p . products`` by the currents."""
+    """Return the second derivatives (..., 2, 2) of ``p . products`` with respect to the
+    currents."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
@@ -187,8 +188,8 @@ class EMTable(EqualByContent):
 
         The remanence is multiplied by ``remanence``, and the magnets are ``shift`` [m] higher. In
         linear materials the force between the magnets is proportional to the square of the
-        remanence. The contribution of a current is proportional to the remanence, and that of
-        currents alone does not depend on it.
+        remanence. The contribution of a current is proportional to the remanence, and the
+        contribution of two currents does not depend on it.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)

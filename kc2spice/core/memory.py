@@ -96,7 +96,7 @@ def _read_field(path: Path, name: str) -> float | None:
 
 
 def _read_number(path: Path) -> float | None:
-    """Return the number in a file, None if there is none."""
+    """Return the number in a file, or None without a number."""
     text = _read_text(path).strip()
     return float(text) if text.isdigit() else None
 

@@ -55,8 +55,8 @@ def install_command(*packages: str) -> str:
     Returns
     -------
     str
-        A command of apt-get, dnf, brew or scoop. On a system without a known package, a sentence
-        that contains the names on Debian.
+        A command of apt-get, dnf, brew or scoop. On a system without known package names, the
+        result is a sentence with the Debian names.
 
     Examples
     --------

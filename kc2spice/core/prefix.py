@@ -14,7 +14,7 @@ ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a num
 
 
 def prefix_power(value: float) -> int:
-    """Return the exponent of the SI prefix of a number, 0 if no prefix exists.
+    """Return the exponent of the SI prefix of a number, 0 without a prefix.
 
     Examples
     --------

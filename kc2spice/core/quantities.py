@@ -587,7 +587,8 @@ class Notch:
     when: tuple[tuple[str, object], ...] = ()
 
     def moved(self, value: float, notches: float) -> float:
-        """Return ``value`` refined by so many notches, rounded to six digits or an integer."""
+        """Return ``value`` refined by a number of notches, rounded to six digits or to an
+        integer."""
         factor = self.factor**notches
         if not isinstance(value, int):
             return float(f"{factor * value:.6g}")
@@ -613,7 +614,7 @@ def validate(
 ) -> Schema:
     """Convert a table to a ``schema``; an instance of the schema is returned unchanged.
 
-    ``where`` is a key, or ends in a colon and is a file; validators see the ``context``.
+    ``where`` is a key, or a file if it ends in a colon. Validators receive the ``context``.
 
     Raises
     ------

@@ -33,7 +33,7 @@ def find_energy_frequency(
     time : (n,) rising times [s].
     values : (n,) values there.
     constant : time constant [s] of a first-order low-pass filter through which the signal passes.
-    share : of the energy, below 1.
+    share : part of the energy, below 1.
     """
     span = time[-1] - time[0]
     if not span > 0 or not np.ptp(values):

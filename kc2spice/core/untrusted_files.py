@@ -59,7 +59,7 @@ _BEHIND_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 def read_bounded(path: Path, limit: int) -> bytes:
     """Read the regular file ``path`` if it has at most ``limit`` bytes.
 
-    A pipe or a device, which could keep a reader waiting for ever, is rejected.
+    Pipes and devices are rejected, because reading them may never end.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def split_lines(text: str) -> list[str]:
 
 
 def explain_unsafe_name(name: str) -> str | None:
-    """Explain why ``name`` is unsafe as the name of a file; None if it is safe.
+    """Explain why ``name`` is unsafe as the name of a file; None for a safe path.
 
     A name is one or more parts between slashes. Parts are letters, digits and ``_ . + -`` with
     blanks between them; they begin with a letter, a digit or ``_``.
@@ -209,7 +209,7 @@ def read_archive(
     Nothing is unpickled.
 
     Memory is allocated only after every requested member has declared at most ``entries(name)``
-    numbers, all of them at most ``total`` bytes, and no more than it holds.
+    numbers, all of them at most ``total`` bytes, and no more than the file contains.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def call_in_child(
     ------
     Kc2spiceError : the function raised one.
     NotImplementedError : the function raised it.
-    ValueError : it raised anything else, crashed, or took more than ``memory`` bytes or
+    ValueError : the function raised another error, crashed, or needed more than ``memory`` bytes or
         ``seconds`` of the processor (0: any number).
     """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

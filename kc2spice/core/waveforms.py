@@ -171,8 +171,9 @@ class Waveform:
 
     A sine has a ``frequency``.
 
-    ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
-    ``period`` [s] the part from the first point on repeats, written as a ``PULSE`` if possible.
+    ``points`` (n, 2) are times [s] and values. The wave is constant before the first and after the
+    last point. With a ``period`` [s] the part from the first point on repeats, written as a
+    ``PULSE`` if possible.
 
     Raises UsageError unless times increase strictly (edges take time).
     """
@@ -383,7 +384,7 @@ Function = Waveform | RecordedWave
 
 
 def _format_difference(first: float, last: float) -> float:
-    """Compute ``last - first`` with as few digits as rounding permits."""
+    """Compute ``last - first`` with the fewest digits within the rounding error."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))

@@ -43,7 +43,7 @@ class Network:
 
     @property
     def has_sources_only(self) -> bool:
-        """Whether each law is a source, so that there is nothing to solve."""
+        """Whether each law is a source, so that there are no unknowns."""
         return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property

@@ -75,7 +75,7 @@ def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
 def _may_change_net(build: Build, name: str, pin: str) -> bool:
     """Return whether a part may change the value on the net of a pin.
 
-    A signal input of one of our own parts takes no current.
+    A signal input of a part of kc2spice draws no current.
     """
     end = build.scene.terminals[name, pin]
     return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist

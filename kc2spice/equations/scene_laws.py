@@ -1,7 +1,7 @@
 """Laws of all parts of a scene, and the nets that join their pins.
 
-:func:`scene_laws` is the entry point: its laws are used to choose and check the time step, to find
-resonances, and in ``verify``.
+:func:`scene_laws` is the entry point: its laws serve to choose and check the time step, to find
+resonances, and to verify scenes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SceneLaws:
     """Laws of the parts of a build, created at first use.
 
     A part without cards has no law, because another part contains its copy or moves it. A part
-    that drives a load by a signal has none either, because a signal carries no current.
+    that drives a load by a signal has no law, because a signal carries no current.
     """
 
     build: Build

@@ -46,8 +46,7 @@ class ShapeFunction(NamedTuple):
 
 
 
-    ``corners`` are the two of an edge, in its direction, the three of a triangle or the four of a
-    quadrilateral.
+    ``corners`` are the corners of an edge in its direction, of a triangle or of a quadrilateral.
     """
 
     corners: tuple[int, ...]
@@ -87,7 +86,7 @@ class Enrichment:
 
 @dataclass(frozen=True, eq=False)
 class EnrichedOperators:
-    """Matrices between selected functions, and between these and all nodes.
+    """Matrices between selected functions, and between these functions and all nodes.
 
     ``K`` belongs to displacements of functions, ``C`` to these and potentials of functions, ``P``
     to potentials; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have displacements
@@ -386,7 +385,7 @@ def _number_selected(mask: np.ndarray) -> np.ndarray:
 
 
 def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Look up the unknowns of functions by their numbers; -1 is none.
+    """Look up the unknowns of functions by their numbers; -1 means no function.
 
     The result is (elements, local functions times components).
     """

@@ -28,7 +28,7 @@ from kc2spice.fem.thermal_materials import ThermalMaterial
 
 MAX_CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
 INSIDE_TOLERANCE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
-NEWTON_STEPS = 20  # more than the coordinates of any point inside a cell need
+NEWTON_STEPS = 20  # more iterations than any point inside a cell needs
 FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
@@ -145,8 +145,8 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
 def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
     """Return the mesh with double nodes on inner ``facets``.
 
-    Elements around a node keep one common node where other faces connect them, as those beside the
-    tip of a crack do.
+    Elements around a node keep a common node if other faces connect them, as at the tip of a
+    crack.
     """
     numbers = np.array(geometry.basis(1).element_dofs)
     count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
@@ -186,7 +186,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
 
 
 def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the faces between an element of the first and one of the second set."""
+    """Return the faces between elements of the first and of the second set."""
     sides = geometry.mesh.f2t
     inner = sides[1] >= 0
     a, b = np.isin(sides, first), np.isin(sides, second)
@@ -194,7 +194,7 @@ def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) ->
 
 
 def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
-    """Return the numbers of the nodes on faces, those of the first side of double ones."""
+    """Return the node numbers on faces; a double face has the nodes of its first side."""
     basis = geometry.face(facets, 2)
     values = np.max([np.abs(N) for N, _ in local_functions(basis)], axis=0)
     return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

@@ -16,8 +16,8 @@ sphere magnet, and a current in each coil. One factorisation and four right-hand
 result for every current (paper 2.2.1 solves 369 cases instead). All elements are assembled once.
 
 A new mesh for each position of the sphere would cost time and add noise to the force. Instead the
-box around the sphere (the *mover*) is meshed once, symmetric about its equator. The rest (the
-*stator*) is meshed once as well, with a regular lattice in the bore. The mover's outline has the
+box around the sphere (the *mover*) is meshed once, symmetric about its equator. The other region
+(the *stator*) is also meshed once, with a regular lattice in the bore. The mover's outline has the
 lattice's nodes. At each lattice point of the sphere, the mover replaces cells of the lattice.
 """
 

@@ -79,9 +79,10 @@ class Cells:
     def inductance(self) -> np.ndarray:
         """Inductances (n, n) [H] of currents that are uniform over each section.
 
-        The logarithm in that of circles is replaced by its mean over both sections (J. C. Maxwell,
-        Trans. R. Soc. Edinburgh 26 (1872) 729). The rest of it is taken between the middles, near
-        the axis, where it is no smoother, between four points of each.
+        The logarithm in the formula for circles is replaced by its mean over both sections (J. C.
+        Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term is evaluated between the
+        centres of both sections, and near the axis, where it is less smooth, between four points
+        of each section.
         """
         r, z = self.r, self.z
         logs = self._mean_logarithms
@@ -196,7 +197,7 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
     The layers become thicker with their depth.
 
     There are layers if the cells are thicker than ``thinnest``, the thickness of the first layer.
-    They are below the upper one of the ``surfaces``, or below both.
+    The layers are below the upper surface or below both ``surfaces``.
     """
     count = max(3, round(length / side))
     if thinnest >= length / count:
@@ -318,8 +319,8 @@ class Ladder(EqualByContent):
 class CurrentEffect(EqualByContent):
     """Effect of the body's currents on the coils, per ampere in a coil.
 
-    ``flux`` (c, c, y) [H] is the flux in the coils, which is negative. ``slope`` (c, c, y) [H/m] is
-    its derivative by the height of the first of both coils alone.
+    ``flux`` (c, c, y) [H] is the flux in the coils, which is negative. ``slope`` (c, c, y) [H/m]
+    is its derivative with respect to the height of the first of both coils.
     """
 
     flux: np.ndarray
@@ -390,12 +391,13 @@ def reduce_to_loops(
 
     The turns of ``magnets`` are amperes on their surfaces, and their coupling to the loops is a
     flux [Wb]. The subspace of the body's currents contains the responses to each coil, and to the
-    magnets, at several heights and frequencies. It is as small as the ``tolerance`` allows. The
-    loops are the modes in the subspace: their energy and loss are those of possible currents.
+    magnets, at several heights and frequencies. The number of loops is as small as the
+    ``tolerance`` allows. The loops are the modes in the subspace: their energy and loss are those
+    of possible currents.
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, for example if body and
+    UsageError : the couplings are not smooth functions of the height, for example if body and
         coil touch.
     """
     nodes, heights = _chebyshev_heights(low, high)
@@ -428,7 +430,7 @@ def current_loop(
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, for example if body and
+    UsageError : the couplings are not smooth functions of the height, for example if body and
         coil touch.
     """
     nodes, heights = _chebyshev_heights(low, high)
@@ -462,8 +464,8 @@ def _compute_subspace(
 
     The error is that at all frequencies.
 
-    The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every other
-    one of the angular frequencies ``speeds``.
+    The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every second
+    angular frequency of ``speeds``.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:

@@ -125,15 +125,15 @@ class Material(EqualByContent):
     density : kg/m^3.
     C : (6, 6) stiffness at constant field [Pa], Voigt order xx yy zz yz xz xy.
     e : (3, 6) piezoelectric stress coefficients [C/m^2], zero of other materials.
-    eps_S : (3, 3) permittivity at constant strain [F/m]; that of vacuum where none is given.
+    eps_S : (3, 3) permittivity at constant strain [F/m], by default the permittivity of vacuum.
     conductor : no field inside; a face against an insulator is an electrode.
     quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
     tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], largest field
     against the poling and in any direction [V/m], None if unknown.
     residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
-    dielectric : has a field between its electrodes even where that is coupled to no stress.
-    local_axes : axes that differ from place to place, None if they are those of the body. All
+    dielectric : has a field between its electrodes, with or without piezoelectric coupling.
+    local_axes : axes that depend on the position, None for the axes of the body. All
         tensors are in these axes, such as radial, hoop and axial ones of a ring poled radially.
     """
 
@@ -190,8 +190,8 @@ class Material(EqualByContent):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
 
-        The tensors are those in the axes of the body at ``places`` (n, 3) [m], which lie in the
-        ``elements`` (n,). Without :attr:`local_axes` they are the same everywhere, and n = 1.
+        The tensors refer to the axes of the body at ``places`` (n, 3) [m] in the ``elements``
+        (n,). Without :attr:`local_axes` they are the same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -310,8 +310,8 @@ class MaterialTable(Section):
 
     Piezoelectricity is ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
     ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3. A piezoelectric material
-    must state whether it is that at constant ``stress`` or ``strain``. With the key ``like``, all
-    other constants are those of this library material.
+    must state whether its permittivity is at constant ``stress`` or ``strain``. With the key
+    ``like``, all other constants are those of this library material.
     """
 
     like: str | None = Field(
@@ -433,8 +433,8 @@ class MaterialTable(Section):
 
         Raises
         ------
-        UsageError : components missing or unknown, units that cannot be right, or a matrix that
-            is not positive definite.
+        UsageError : components are missing or unknown, units are implausible, or a matrix is not
+        positive definite.
         """
         C, e = self._build_stiffness(), np.zeros((3, 6))
         if self.stress_coupling is not None:
@@ -465,7 +465,7 @@ class MaterialTable(Section):
             C = np.linalg.inv(s)
         _require_definite(C, "stiffness")
         largest = float(np.diag(C).max())
-        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, or pm^2/N as m^2/N
+        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, or pm^2/N written as m^2/N
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
@@ -604,7 +604,7 @@ def material(
 
     Raises
     ------
-    UsageError : no such name, or a table that describes no material.
+    UsageError : the name does not exist, or the table does not describe a material.
     """
     if isinstance(name_or_table, Material):
         return name_or_table

@@ -228,8 +228,8 @@ def make_quadratic_mesh(
     Returns
     -------
     mesh : of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : number (n,) of each of the file's nodes in the mesh, -1 if no corner.
-    parent : number (elements,) of the file's element that each element is a part of.
+    number : number (n,) in the mesh of each node of the file, -1 for nodes that are not corners.
+    parent : number (elements,) in the file of the element that contains each element.
     """
     make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
     return make(points, blocks)

@@ -69,7 +69,7 @@ class Group(EqualByContent):
 
     ``codimension`` is 0 for elements, 1 for facets, and 2 or 3 for nodes.
 
-    ``shares`` of nodes are their parts of the length of a curve, equal for points.
+    ``shares`` of nodes are fractions of the length of a curve, and equal for points.
     """
 
     codimension: int
@@ -183,7 +183,8 @@ def length_unit(path: Path, unit: str | None) -> float:
 
     Raises
     ------
-    UsageError : neither states the unit; the message contains the size in usual units.
+    UsageError : neither the format nor ``unit`` states the unit; the message contains the size in
+    usual units.
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
@@ -373,7 +374,7 @@ def _measure_shares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the nodes on points (k, 1) or lines (k, 2), and their shares.
 
-    The shares are those of the whole length.
+    The shares refer to the whole length.
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:

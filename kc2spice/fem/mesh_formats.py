@@ -221,7 +221,7 @@ def _name_abaqus_type(name: str) -> str | None:
 
 
 def require_unv_elements(data: bytes, where: str) -> None:
-    """Reject elements of a UNV file with another number of nodes than their type.
+    """Reject elements of a UNV file whose number of nodes does not match their type.
 
     gmsh writes such elements of 9, 18 and 27 nodes, and reads only their corners.
 

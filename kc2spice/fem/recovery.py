@@ -3,8 +3,8 @@
 Around every corner of the mesh a polynomial is fitted to the strain and field of the adjacent
 elements. The least-squares fit uses the points of an element at which strain and field are most
 accurate. Linear shape functions blend the polynomials to the recovered strain and field, which are
-more accurate than those of the elements. Their difference d = (dS, dE) measures the error in the
-energy product
+more accurate than strain and field of the elements. Their difference d = (dS, dE) measures the
+error in the energy product
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
@@ -44,7 +44,7 @@ NEIGHBOUR_PENALTY = 0.5
 class EnergyProducts:
     """Energy products (k, k) of k solutions and of their errors.
 
-    ``solution`` contains the products of solutions, ``error`` those of their errors.
+    ``solution`` contains the products of solutions, and ``error`` the products of their errors.
 
     ``spread`` sums the absolute contributions of the elements to ``error``.
     """
@@ -156,7 +156,7 @@ def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
 class _Patches:
     """Polynomials that are fitted to the fields in patches of elements.
 
-    Their ``coefficients`` (patches, terms, 9 k) are those in ``(x - middle) / size``.
+    The ``coefficients`` (patches, terms, 9 k) belong to polynomials in ``(x - middle) / size``.
 
     ``number`` (elements, corners) is the patch of each corner of each element.
     """
@@ -284,7 +284,7 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Choose the patch of each corner (patches,): that of the corner or of a neighbour.
+    """Choose the patch of each corner (patches,): its own patch or a neighbouring patch.
 
     The corner of the chosen patch is closer to the middle of the points of this patch. Corners at
     edges of the body are far from the middle of the points of their patch.

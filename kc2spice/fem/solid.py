@@ -10,8 +10,8 @@ Weak form of ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e
 
 Displacement unknowns are numbered ``d node + axis`` with d components (3; of an axisymmetric
 mesh r and z), potentials by node. Strains are in Voigt order xx yy zz yz xz xy, engineering
-shear; of an axisymmetric body x is radial, y the hoop direction, and volumes are those of the
-full turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
+shear; of an axisymmetric body x is radial, y the hoop direction, and volumes cover the full turn.
+Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 class Solid:
     """Mesh whose element ``k`` consists of ``materials[owner[k]]``, already poled.
 
-    The shape functions have the ``order`` (1 on hexahedra only). Materials with one name are one in
-    reports. ``numbers`` (l, elements) are those of each element's nodes if they differ from
-    scikit-fem's: nodes of collapsed edges and faces share one.
+    The shape functions have the ``order`` (1 on hexahedra only). Materials with the same name are
+    one material in reports. ``numbers`` (l, elements) are the node numbers of each element if they
+    differ from scikit-fem: nodes of collapsed edges and faces share a number.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 
     Coupling and permittivity are those of piezoelectric or dielectric materials.
 
-    With ``only``, the matrices of this material alone are assembled.
+    With ``only``, the matrices of only this material are assembled.
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]

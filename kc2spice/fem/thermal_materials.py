@@ -34,8 +34,8 @@ class ThermalMaterial(EqualByContent):
     name : of the library, or of the group of the mesh.
     density : kg/m^3.
     specific_heat : J/(kg K), at constant pressure.
-    conductivity : (3,) W/(m K) along x, y and z; of a body of revolution along the radius, around
-        the axis and along it.
+    conductivity : (3,) W/(m K) along x, y and z; in a body of revolution, along the radius, around
+    the axis and along the axis.
     """
 
     name: str
@@ -52,7 +52,7 @@ class ThermalMaterial(EqualByContent):
 class ThermalMaterialTable(Section):
     """Constants of a material in a scene or in the library.
 
-    With the key ``like``, the constants that the table omits are those of this library material.
+    With the key ``like``, the library material supplies the constants that the table omits.
     """
 
     like: str | None = Field(
@@ -100,7 +100,7 @@ class ThermalMaterialTable(Section):
 
 @cache
 def _load_tables() -> Mapping[str, dict[str, Any]]:
-    """Return the tables of the file by name, of which some contain no density."""
+    """Return the tables of the file by name; some contain no density."""
     path = Path(__file__).parent / "thermal_materials.toml"
     return tomllib.loads(path.read_text("utf-8"))
 
@@ -128,7 +128,7 @@ def find_thermal_material(
 
     Raises
     ------
-    UsageError : no such name, or a table that describes no material.
+    UsageError : the name does not exist, or the table does not describe a material.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def find_resistance_coefficient(name: str) -> float:
 
     Raises
     ------
-    UsageError : no such material, or one without this constant.
+    UsageError : the material does not exist, or lacks this constant.
 
     Examples
     --------

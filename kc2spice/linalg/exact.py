@@ -24,7 +24,7 @@ CONVERGED_CORRECTION, DIVERGED_CORRECTION = 1e-8, 1e-3
 
 
 class ExactMatrix:
-    """Real matrix whose products have 18 digits of their largest terms.
+    """Real matrix whose products are accurate to 18 digits of their largest terms.
 
     Cancellation of terms does not reduce this accuracy.
     """

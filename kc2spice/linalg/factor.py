@@ -51,9 +51,9 @@ def require_factors(
 ) -> None:
     """Raise an error if the factors of a reduction exceed the memory that is free now.
 
-    The factorisations are one real and one complex one; the estimate is up to five times too large
-    for plates. A ``definite`` or quasi-definite matrix needs one factor without pivoting only, with
-    half of the entries. With a supplied solver nothing is compared, because its needs are not
+    One factorisation is real and one is complex; the estimate is up to five times too large
+    for plates. A ``definite`` or quasi-definite matrix needs only one factor without pivoting,
+    with half of the entries. With a supplied solver nothing is compared, because its memory is not
     known. ``where`` names the work in the error.
 
     Raises
@@ -123,8 +123,8 @@ class Factor:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
 
-        Missing rows of a right-hand side are zero. The solution then contains as many unknowns as
-        the right-hand side has rows, which are those of a model before the eliminated ones.
+        Missing rows of a right-hand side are zero. The solution then contains only the unknowns of
+        the right-hand side, which come before the eliminated unknowns.
 
         Raises
         ------
@@ -199,8 +199,9 @@ def factorise(
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
     factor, which costs n b^2 operations and no fill, any other definite matrix a supernodal
     Cholesky factor; all other matrices the factor of :func:`factorise_two_sided`. An ``order`` of
-    elimination that is known from a matrix of a similar pattern spares the search for one. A
-    supplied solver is used for a definite matrix only if it counts negative eigenvalues.
+    elimination that is known from a matrix of a similar pattern makes the search for an order
+    unnecessary. A supplied solver is used for a definite matrix only if it counts negative
+    eigenvalues.
 
     Raises
     ------
@@ -292,7 +293,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
 def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
     """Factorise a sparse matrix and its transpose, first without pivoting if possible.
 
-    A trial solution shows whether this factor is accurate. If it is not (indefinite matrices,
+    A trial solution shows whether this factor is accurate. If this fails (indefinite matrices,
     saddle points), partial pivoting follows.
 
     Raises
@@ -356,12 +357,12 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
 def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Find an order ``p`` (n,) in which factors of ``matrix[p][:, p]`` are sparse.
 
-    It is that of nested dissection by METIS in gmsh. The result is None for small matrices and,
-    with a warning, without gmsh. The solver then determines the order.
+    The order is computed by nested dissection (METIS in gmsh). The result is None for small
+    matrices and, with a warning, without gmsh. The solver then determines the order.
 
-    Unknowns whose columns have the same pattern (those of one node) are kept together, so that the
-    graph is that of the mesh. Only time and memory depend on the order, never a result's accuracy.
-    Orders of the last patterns are kept.
+    Unknowns whose columns have the same pattern (the unknowns of one node) stay together, so that
+    the graph equals the graph of the mesh. Only time and memory depend on the order, never a
+    result's accuracy. Orders of the last patterns are kept.
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """

@@ -1,6 +1,6 @@
 """Choice of OpenBLAS kernels for processors that are newer than the library.
 
-The OpenBLAS in cvxopt supports processors up to 2021. On a younger Intel processor it falls back to
+The OpenBLAS in cvxopt supports processors up to 2021. On a newer Intel processor it falls back to
 kernels of 2004: a Cholesky factor of 103 000 unknowns took 12.5 s of CPU, and 4.4 s with kernels
 for AVX-512.
 """
@@ -24,7 +24,7 @@ _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
-    """Return the fastest kernels for these instructions, None if there are none.
+    """Return the fastest kernels for these instructions, None without suitable kernels.
 
     Examples
     --------

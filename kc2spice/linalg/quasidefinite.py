@@ -1,13 +1,14 @@
 """Factors of large sparse quasi-definite matrices, such as those of piezoelectric solids.
 
 A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. In any order of its
-unknowns it has a factor ``L D L'`` without pivoting, D being 1 for unknowns of A and -1 for those
-of C. The signs are known beforehand, so the factor also proves that both blocks are definite.
+unknowns it has a factor ``L D L'`` without pivoting, in which D is 1 for unknowns of A and -1 for
+unknowns of C. The signs are known beforehand, so the factor also proves that both blocks are
+definite.
 
 The method is multifrontal. The elimination tree is divided into supernodes: unknowns whose columns
 of L have nearly the same pattern. The front of a supernode is a dense matrix of these unknowns, the
 pivots, and of the later unknowns that are coupled to the pivots. Dense Cholesky factors eliminate
-the pivots, first those of A and then those of C. The remainder is added to the next front.
+the pivots, first of A and then of C. The remainder is added to the next front.
 
 Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.
 Software 9 (1983) 302; J. W. H. Liu, SIAM Review 34 (1992) 82; C. Ashcraft, R. Grimes, ACM Trans.
@@ -48,7 +49,7 @@ class Supernode:
 class ColumnPanel:
     """Columns of L of a supernode with k pivots and m rows.
 
-    The pivots are those of ``turn`` (k,); the first ``positive`` of them have the sign 1.
+    The pivots are the rows ``turn`` (k,). The first ``positive`` pivots have the sign 1.
     ``triangle`` (k, k) is lower triangular, and ``below`` (m, k) belongs to the rows.
     """
 
@@ -205,7 +206,7 @@ def find_supernodes(
 ) -> tuple[np.ndarray, list[Supernode]]:
     """Find the supernodes of a symmetric pattern, and the order (n,) of elimination with them.
 
-    The order has the same fill as the prescribed ``order``, but for zeros in supernodes.
+    The order has the same fill as the prescribed ``order``, apart from zeros in supernodes.
     """
     sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # of groups
     rank = np.empty(len(sequence), dtype=np.intp)
@@ -221,7 +222,7 @@ def find_supernodes(
 def _neighbours(
     matrix: scipy.sparse.csc_array, numbers: np.ndarray, order: np.ndarray
 ) -> tuple[list[np.ndarray], list[list[int]]]:
-    """Neighbours of each group that are eliminated after it, and those before it."""
+    """Neighbours of each group that are eliminated after the group, and before it."""
     count = int(numbers.max()) + 1
     first = np.full(count, -1)
     first[numbers[order[::-1]]] = order[::-1]

@@ -24,8 +24,9 @@ HOW = (
 class Factorisation(Protocol):
     """A factorised matrix A.
 
-    An attribute ``negative_eigenvalues`` is optional. It is the number of negative eigenvalues of a
-    real symmetric matrix, which an LDL' factor shows by its pivots.
+    An attribute ``negative_eigenvalues`` is optional. The number is the number of negative
+    eigenvalues of a real symmetric matrix, which is the number of negative pivots of an LDL'
+    factor.
     """
 
     def solve(self, rhs: np.ndarray, /) -> np.ndarray:
@@ -44,11 +45,11 @@ def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use ``solver`` for all factors that are made meanwhile.
 
     The name ``"pardiso"`` stands for :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
-    solver of the surrounding context remains, by default the built-in ones.
+    solver of the surrounding context remains, by default the built-in solvers.
 
     Raises
     ------
-    UsageError : not a function, a class or a known name.
+    UsageError : the solver is not a function, a class or a known name.
     MissingToolError : the library of the solver is not installed.
     """
     if solver is None:
@@ -76,7 +77,7 @@ def require_solver(name: str | None, where: str) -> str | None:
 
     Raises
     ------
-    UsageError : no such solver; ``where`` is the option.
+    UsageError : the solver does not exist; ``where`` is the option.
     """
     if name is not None and name not in SOLVERS:
         raise unknown("this direct solver does not exist", name, SOLVERS, where)
@@ -84,7 +85,7 @@ def require_solver(name: str | None, where: str) -> str | None:
 
 
 def supplied_solver() -> DirectSolver | None:
-    """Return the solver that :func:`solving_with` selected, None for the built-in ones."""
+    """Return the solver that :func:`solving_with` selected, None for the built-in solvers."""
     return _supplied.get()
 
 
@@ -94,7 +95,7 @@ def factorise_by(solver: DirectSolver, matrix: Any) -> Factorisation:
     Raises
     ------
     SimulationError : the solver reports a numerical failure, such as a singular matrix.
-    UsageError : any other error of the solver, or a result that does not solve.
+    UsageError : any other error of the solver, or a result that does not solve the equations.
     """
     factor = _call(solver, matrix)
     if not callable(getattr(factor, "solve", None)):

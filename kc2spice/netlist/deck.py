@@ -325,7 +325,7 @@ class Deck:
         yield from self.items
         yield ""
         if self.initial:
-            yield "* Nothing holds these nodes before the run begins."
+            yield "* No part determines the initial voltages of these nodes."
             yield Directive(
                 ".ic", tuple(f"v({n})={format_number(v)}" for n, v in self.initial.items())
             )

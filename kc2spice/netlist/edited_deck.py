@@ -72,7 +72,7 @@ class DeckEdits:
         Old and new value of each accuracy option that differs; None is the default.
     cards : mapping of str to str
         Parts whose cards differ, with the reason. The keys of these parts no longer describe the
-        deck. Further names are those of new cards and of instances with other nodes.
+        deck. Further names are new cards and instances with other nodes.
     instances : mapping of str to InstanceEdit
         Differences of each instance that both decks have, by its name in lower case.
     """

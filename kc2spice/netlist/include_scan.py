@@ -1,8 +1,8 @@
 """Security check of netlists from users, which can execute programs, before simulation.
 
 The simulator gets one text without includes. This module reads names, continuation lines and
-comments by the rules of the simulator. It writes lines that end in a line feed, with spaces as
-blanks. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
+comments by the rules of the simulator. It writes lines that end in a line feed, and replaces other
+blanks by spaces. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
 
 Only known commands, element letters, options and file names are allowed. If the user trusts a
 circuit, its text is not changed.
@@ -67,8 +67,8 @@ def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = Fals
     """Return a circuit in which the content of files below ``home`` replaces the includes.
 
     With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
-    then reads an include that this function cannot read. With ``inside`` too, only files below
-    ``home`` are opened: this option is for circuits that the user does not trust yet.
+    then reads an include that this function cannot read. With ``inside``, only files below
+    ``home`` are opened. This option is for circuits that the user does not trust yet.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
 # --- cards that affect the whole deck ---
 
 # fmt: off
-# Names of every card, not of sources alone.
+# Names of every card, not only of sources.
 _FUNCTION_NAMES = FUNCTIONS.union((
     "agauss", "arctan", "atan2", "aunif", "db", "ddt", "gauss", "hypot", "i", "if", "int", "limit",
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
@@ -350,7 +350,7 @@ def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None =
 
     Parameters
     ----------
-    trust : whether to take the circuit unchecked, because its user trusts it.
+    trust : whether the circuit is used without checks, because its user trusts it.
     home : directory of the circuit and its includes, by default that of ``path``.
 
     Raises

@@ -104,9 +104,10 @@ class NodalCircuit:
 
         Parameters
         ----------
-        values : its parameters, by names in lower case; all others have their defaults.
-        grounded : its pins at ground.
-        sources : further voltage sources from nodes to ground, the node by the source's name.
+        values : parameters of the instance, by names in lower case; all others have their
+        defaults. grounded : pins of the instance at ground.
+        sources : further voltage sources from nodes to ground: the node of each source by its
+        name.
         """
         elements = list(self.elements)
         for name, node in sources.items():

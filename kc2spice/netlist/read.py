@@ -353,7 +353,8 @@ def _remove_braces(law: str) -> str:
 def _read_polynomial(text: str, where: str) -> str:
     """Return the polynomial ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
 
-    The coefficients are sorted by degree, products of one degree by the order of their factors.
+    The coefficients are sorted by degree, and products of one degree by the order of their
+    factors.
     """
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()

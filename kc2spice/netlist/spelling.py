@@ -12,8 +12,9 @@ from typing import Any
 from kc2spice.core.errors import MissingToolError, UsageError
 
 # 1/s, decay rate of a floating charge in a netlist. A node that stores charge has a leak of this
-# rate times its charge. At an operating point, the currents then sum to zero where the charges do.
-# The leak carries the fraction 1.6e-10 Hz / f of the node's current, for any capacitance.
+# rate times its charge. At an operating point, the sum of the currents is then zero if the sum of
+# the charges is zero. The leak carries the fraction 1.6e-10 Hz / f of the node's current, for any
+# capacitance.
 LEAK_RATE = 1e-9
 # A unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
 _INFIX_UNIT = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
@@ -73,7 +74,7 @@ def require_name(text: str, *, where: str = "netlist") -> str:
 
     Raises
     ------
-    UsageError : anything but a letter followed by letters, digits and underscores.
+    UsageError : the text is not a letter followed by letters, digits and underscores.
     """
     if _VALID_NAME.fullmatch(text) is None or text.lower() in _RESERVED_NAMES:
         expected = "a letter, then letters, digits or _ (64 at most), no reserved word"

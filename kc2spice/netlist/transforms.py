@@ -86,9 +86,8 @@ def library_stem(part: Subcircuit) -> str:
 def parameter_owners(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     """Yield every subcircuit of a library with its name in ``param.NAME.…``.
 
-    The main subcircuit has the name of its file. A helper has its own name, which several libraries
-    may share:
-    ``opamp`` is the amplifier in all libraries that have one.
+    The main subcircuit has the name of its file. A helper has a separate name, which several
+    libraries may share: ``opamp`` is the amplifier in all libraries that have one.
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
@@ -165,7 +164,7 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
     )
 
 
-# --- array of copies, each with its own source ---
+# --- array of copies with separate sources ---
 
 
 def make_array_deck(deck: Deck, count: int) -> Deck:
@@ -218,8 +217,8 @@ def _move_into_instance(expression: str, instance: str) -> str:
 def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
     """Return the deck with the noise density of each noisy resistor as a result.
 
-    The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise,
-    the owner the part whose name the name of the card begins with.
+    The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise.
+    The owner is the part whose name is the beginning of the card's name.
     """
     parts = sorted(owners, key=len, reverse=True)
     _, factor = deck.vectors[output]

@@ -60,38 +60,39 @@ _TIME_INTEGRALS = {
     "pressure": ("pressure impulse", "Pa s"),
 }
 _FLOW_COMMENTS = {
-    "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; "
-    "{word} = {factor}V({plus},{minus})",
+    "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; {word} = "
+    "{factor}V({plus},{minus})",
     "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
-    "place": "in um on {node}: {plus} less {minus}{words}",
-    "rate": "velocity of {plus} less that of {minus} [m/s]: the current of 1 uF on that voltage",
-    "charge": "{integral} between {plus} and {minus} on the node {node}, 1 V = {scale} {unit}; its "
-    "rate flows from {plus} to {minus}",
-    "flux": "{integral} of the {flow} from {plus} to {minus} on the node {node}, "
-    "1 V = {scale} {unit}; its rate is a part of the {across}",
+    "place": "in um on {node}: {plus} minus {minus}{words}",
+    "rate": "velocity of {plus} relative to {minus} [m/s]: the current of 1 uF at this voltage",
+    "charge": "{integral} between {plus} and {minus} on the node {node}, 1 V = {scale} {unit}; "
+    "its rate flows from {plus} to {minus}",
+    "flux": "{integral} of the {flow} from {plus} to {minus} on the node {node}, 1 V = {scale} "
+    "{unit}; its rate is a part of the {across}",
     "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), place on {place} (1 V = 1 um)",
-    "shake": "the frame of {speed} is shaken by {plus} (1 V = 1 m/s2), which draws the force that "
-    "takes",
-    "held": "{node} has no other equation than {plus} = {place}: the force that makes it true, "
-    "1 V = 1 N, accelerates the mass; at an operating point something else holds {plus}",
+    "shake": "{plus} accelerates the frame of {speed} (1 V = 1 m/s2) and draws the required "
+    "force",
+    "held": "the force on {node} (1 V = 1 N) accelerates the mass so that {plus} = {place}; at "
+    "an operating point another part determines {plus}",
     "output": "{plus} in um: {words}",
-    "heat": "the losses leave by {plus}, relative to {minus}: 1 A is 1 W",
-    "state": "a state, whose rate times 1 uF flows into {node}; 1 POhm may be all that sets it at "
-    "an operating point",
-    "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
-    "leak": "by this current the operating point of a floating net keeps its {integral}, which "
-    "decays within {seconds} s",
-    "cell": "argument of the lookups in cells on {cell}; t, from 0 to 1 within each cell, gives "
-    "the weight t (1 - t) on {weight}",
-    "lookup": "A lookup is f(s) - w b(s) with the cell s and the weight w: the values at {points} "
-    "arguments less half their second differences times w. Value and slope are continuous. Points "
-    "of b on the lines between others are left out; beyond both ends a lookup is constant. "
-    "NAME_slope is the derivative of the table NAME by its argument.",
-    "linkage": "flux linkage of {plus} to {minus} by all currents on {node}, 1 V = {scale} Wb; its "
-    "rate is the voltage behind the resistance, less that of motion",
-    "current": "current from {plus} to {minus}, 1 V = 1 A on {node}: the flux linkages times the "
-    "inverse inductances, by their means and the lookups of their deviations",
-    "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
+    "heat": "the losses flow out of {plus}, relative to {minus}: 1 A is 1 W",
+    "state": "a state: its rate times 1 uF flows into {node}; 1 POhm sets it at an operating "
+    "point if no other part does",
+    "noise": "thermal noise of a loss, 4 k T times {loss}, which this resistor provides",
+    "leak": "this current gives a floating net an operating point; its {integral} decays within "
+    "{seconds} s",
+    "cell": "{cell} is the argument of the lookups, in cells; {weight} is the weight t (1 - t), "
+    "in which t increases from 0 to 1 within each cell",
+    "lookup": "A lookup is f(s) - w b(s) with the cell s and the weight w: f interpolates the "
+    "values at {points} arguments, and b half of their second differences. Value and slope "
+    "are continuous. Points of b on a line through their neighbours are left out. Beyond "
+    "both ends a lookup is constant. NAME_slope is the derivative of the table NAME with "
+    "respect to its argument.",
+    "linkage": "flux linkage from {plus} to {minus} of all currents on {node}, 1 V = {scale} "
+    "Wb; its rate is the voltage without those of resistance and motion",
+    "current": "current from {plus} to {minus}, 1 V = 1 A on {node}: the flux linkages times "
+    "the inverse inductances, each the sum of its mean and a lookup",
+    "edge": "a switch that only makes ngspice place a time point where {argument} is zero",
 }  # fmt: skip
 
 
@@ -122,7 +123,7 @@ def _write_items(
         nodes = {**nodes, **lookups.node_trees(), **_single_voltages(declaration, linkages)}
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
-        yield f"* the power series {name}"
+        yield f"* power series {name}"
         yield Element.behaviour(
             f"B{name}", name, rest, "V", format_tree(substitute_names(tree, nodes))
         )
@@ -231,14 +232,14 @@ def _write_linkages(
 ) -> Iterator[Line]:
     """Write currents whose flux linkages are states.
 
-    The means of the inverse inductances are cards of their own, because every lookup is 0 V before
-    the first solution.
+    The means of the inverse inductances are separate cards, because every lookup is 0 V before the
+    first solution.
     """
     henry, inverse = linkages.invert(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
     for k, l in combinations_with_replacement(range(count), 2):
         name = _inverse_node(k, l)
-        yield f"* {name}: {henry:.6g} H times the inverse of the inductances, less its mean"
+        yield f"* {name}: {henry:.6g} H times the inverse inductances, minus their mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
         motion = substitute_names(add_trees(*lookups.split(linkages.motional[k])), nodes)
@@ -395,7 +396,7 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
 
 
 def _pin_velocity(declaration: Declaration, pin: str) -> Tree:
-    """Voltage of the velocity node of a pin, zero if it has none."""
+    """Voltage of the velocity node of a pin, zero without such a node."""
     speed = declaration.speeds.get(pin)
     return CircuitVariable("v", (speed,)) if speed else ZERO
 
@@ -633,7 +634,7 @@ def _write_flux(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
-    yield f"*   {across} besides that of the {integral} = {format_tree(drop)}"
+    yield f"*   {across} without that of the {integral} = {format_tree(drop)}"
     law = _write_law(declaration, multiply_trees(unit, add_trees(drop, noise)), nodes)
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 

@@ -1,8 +1,8 @@
 """Two coils and fixed magnets around a moving magnet: one coenergy of height and currents.
 
-Magnetic materials are linear, so at each height it is a quadratic function of the currents, of the
-powers in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of the coenergy are the
-force and the flux linkages.
+Magnetic materials are linear, so at each height the coenergy is a quadratic function of the
+currents, with the powers in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of
+the coenergy are the force and the flux linkages.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _write_coenergy(height: str) -> str:
 def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     """Declare both coils with resistance, inductance and back-EMF.
 
-    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper one. In a
+    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper coil. In a
     netlist the ``height`` is the coordinate ``y`` alone.
     """
     return Declaration(
@@ -83,7 +83,7 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 @cache
 def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Declare one current through both coils, reversed in the lower one."""
+    """Declare one current through both coils, reversed in the lower coil."""
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
@@ -118,7 +118,7 @@ def _declare_force(
     branches: tuple[Branch, ...] = (),
     **physics: Any,
 ) -> Declaration:
-    """Declare the force alone, without the back-EMF in the coils."""
+    """Declare only the force, without the back-EMF in the coils."""
     currents = {"i1": parse_simplified(i1), "i2": parse_simplified(i2)}
     pull = differentiate_tree(parse_simplified(_write_coenergy(height), tables=_TABLE_NAMES), "y")
     force = substitute_names(subtract_trees(ZERO, pull), currents)

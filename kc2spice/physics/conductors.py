@@ -40,7 +40,7 @@ class ConductorKeys(Section):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **settings: Any) -> None:
-        """Move these keys behind those of the part."""
+        """Move these keys behind the keys of the part."""
         super().__pydantic_init_subclass__(**settings)
         for name in (COEFFICIENT, REFERENCE):
             cls.model_fields[name] = cls.model_fields.pop(name)

@@ -24,7 +24,7 @@ from kc2spice.physics.symbolic import (
 )
 
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Note on the mesh error of a law by pressure, which is that of its compliances.
+# Note on the mesh error of a law by pressure, which is the error of its compliances.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
 # In a test, a block between compiled modules ended 35 mm away instead of 0.2 mm, without an error
 # message.
@@ -81,7 +81,8 @@ class Normal:
 def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
     """Return energy, elastic force and force as expressions of ``x`` and ``x_rate``."""
     terms = []
-    for k in range(count):  # max(0, x), in this order, is closed at x = 0, where Newton starts
+    # in this order, max(0, x) has the slope 1 at x = 0, where Newton's method starts
+    for k in range(count):
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
         terms.append(f"eps*{closed}{'*sqrt(max(0, x))' if order % 1 else ''}/{order:g}")
@@ -115,7 +116,8 @@ def declare_contact(
     side has its ports, or ``b``. The displacement of a pin that a rigid side has ``carried`` is
     added. With friction ``slide`` moves over ``rail``. ``groove`` is the opening angle in degrees.
 
-    The pressure is computed from the overlap times ``share``, for the radius of its computation.
+    The pressure follows from the overlap times ``share``, for the radius at which the law was
+    computed.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}
@@ -189,23 +191,33 @@ def _parameters(
 ) -> Iterator[Param]:
     """Parameters that an instance may set."""
     linear = law.power == 1
-    what = "contact penalty of a whole ring" if linear else "Hertz: 4/3 E* sqrt(R)"
-    damping, friction = "of Hunt and Crossley", "Coulomb's coefficient"
+    stiffness_text = (
+        "contact penalty of a whole ring"
+        if linear
+        else "stiffness of the Hertz contact, 4/3 E* sqrt(R)"
+    )
+    damping, friction = "damping coefficient of Hunt and Crossley", "friction coefficient"
     if groove is not None:
         s = f"s = sin({groove:g}/2 deg)"
-        what = f"along the axis of a groove, 2 s^{1 + law.power:g} times one flank's, {s}"
-        damping, friction = f"s times that of a flank, {s}", f"1/s times Coulomb's coefficient, {s}"
-    yield positive_parameter("eps", law.stiffness, "N/m" if linear else "N/m^1.5", what)
+        stiffness_text = (
+            f"stiffness along the axis of a groove, 2 s^{1 + law.power:g} times a flank, {s}"
+        )
+        damping, friction = f"s times the damping of a flank, {s}", f"friction coefficient / s, {s}"
+    yield positive_parameter("eps", law.stiffness, "N/m" if linear else "N/m^1.5", stiffness_text)
     if law.radius:
         yield Param("radius", law.radius, "m", "radius of the sphere", law.depth)
-        yield Param("pace", law.pace, "s", "in which the surfaces follow the pressure")
+        yield Param("pace", law.pace, "s", "time in which the surfaces follow the pressure")
     elif under is not None:
         yield Param("radius", under[0], "m", "radius of the sphere", max(under[1][: len(ports)]))
-    doc = "gap at {} when both sides are at rest" if under is None else "added to the gap at {}"
+    doc = (
+        "gap at {} when both sides are at rest"
+        if under is None
+        else "distance added to the gap at {}"
+    )
     for port, gap in zip(ports, gaps, strict=True):
         yield Param(f"gap_{port}", gap, "m", doc.format(port))
     if law.damping:
         yield positive_parameter("damping", law.damping, "s/m", damping)
     if law.friction:
         yield positive_parameter("friction", law.friction, "1", friction)
-        yield positive_parameter("creep", law.creep, "m/s", "speed of full friction")
+        yield positive_parameter("creep", law.creep, "m/s", "sliding speed of full friction")

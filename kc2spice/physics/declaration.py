@@ -13,18 +13,19 @@ With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), t
 (of displacements, voltages, currents) and the content ``R`` (of rates, voltages, currents)::
 
     force  = d/dt (dT/dx_rate) + dU/dx - dW/dx + dR/dx_rate
-             + any of ``forces``, which friction has no content for
+             + any of ``forces``, such as friction, which has no content
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
 A *measured* branch has a coordinate and no flow through its pins: its coordinate is a signal.
-``states`` follow ``dx/dt = f``, of states, coordinates and rates, and may stand wherever a rate
-may: a controller is a content of what it sees and of its states.
+``states`` follow ``dx/dt = f``, a function of states, coordinates and rates. Expressions may
+contain states like rates: a controller is a content of its inputs and its states.
 
 The energy that is stored is ``T + U - W + sum v q + sum i l``, the power that becomes heat
-``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
-is lost, whatever the expressions say; so are rates times ``forces``. (J. Meisel, Principles of
-Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
+``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: for any expressions, the energy through the
+pins equals the stored energy plus the losses, which include rates times ``forces``. (J. Meisel,
+Principles of Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951)
+1150.)
 
 With a pin of heat (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
 through this pin, and the resistances of ``conductors`` follow its temperature.
@@ -86,8 +87,8 @@ class Branch:
     """A coordinate between two pins, and a flow through them.
 
     ``kind`` is the quantity of the coordinate in a physical domain. ``through`` names the result
-    that flows into ``plus``; it is empty for a measured branch. The displacement of a pin ``less``
-    that ``minus`` carries is subtracted as well.
+    that flows into ``plus``; it is empty for a measured branch. The displacement of the pin
+    ``less``, which moves with ``minus``, is also subtracted.
     """
 
     kind: str
@@ -146,8 +147,7 @@ def branch(
 
     Raises
     ------
-    UsageError : no domain has this quantity, or the stored energy is not a function of this
-        quantity.
+    UsageError : no domain has this quantity, or the stored energy does not depend on it.
 
     Examples
     --------
@@ -227,7 +227,7 @@ ONE_TEMPERATURE = (
     "not estimated",
 )
 
-# Where a term belongs that an equation must not contain.
+# Correct place of a term that an equation must not contain.
 _OTHER_PLACES = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
     "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
@@ -252,24 +252,23 @@ class Declaration:
     t = 0. Only its pins and a constant weight act on the mass. ``forces`` are dissipative forces by
     displacement, of coordinates and rates. ``limits`` maps the words for a limit to an expression
     that must stay above zero. ``stops`` maps the words for a stop to an expression that is above
-    zero in contact. ``neglected`` are rows of an effect, why it has no model, and the size of the
-    effect. ``validity`` is the range of the equations. By default it is a constant temperature, or
-    keys that do not depend on temperature if the part has pins of heat.
+    zero in contact. ``neglected`` contains for each effect its name, the reason why it has no
+    model, and its size. ``validity`` is the range of the equations. By default it is a constant
+    temperature, or keys that do not depend on temperature if the part has pins of heat.
 
     ``conductors`` are the branches of currents or voltages whose resistance rises with the
     temperature of the pin of heat, by ``temperature_coefficient`` [1/K] relative to the resistance
     at the reference temperature. ``ideal_work`` states that the power of ``forces`` is work of an
-    ideal source instead of heat. With ``losses_of_model`` a model that is not built yet determines
-    the losses. ``heated`` states that there is a pin of heat, which
-    :meth:`with_heat_pin` adds.
+    ideal source instead of heat. With ``losses_of_model``, a model that is built later determines
+    the losses. ``heated`` states that there is a pin of heat, which :meth:`with_heat_pin` adds.
 
-    These fields concern the netlist alone:
+    These fields concern only the netlist:
 
     - ``outputs`` are pins of displacements that are affine in a displacement of a branch.
-    - ``speeds`` are velocity nodes of rigid bodies, which take the force, by displacement pin.
+    - ``speeds`` are velocity nodes of rigid bodies, on which the force acts, by displacement pin.
     - ``lags`` are delays of forces by displacement x: the law contains ``x + lag x_rate`` for x.
     - ``base`` is the reference pin of inner nodes.
-    - Without ``metered``, forces and currents have no nodes and sources of their own.
+    - Without ``metered``, forces and currents have no separate nodes and sources.
     - ``no_module`` is the reason why there is no compiled module.
     - ``inner`` are nodes between branches, which are no pins of the part.
     - ``mesh`` is the error estimate of the mesh or rings behind its numbers, in words.
@@ -329,14 +328,15 @@ class Declaration:
         self._check_content()
 
     def _coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Hint on a quantity whose coordinate has another name, empty if there is none."""
+        """Hint about a quantity whose coordinate has another name; empty without such a
+        coordinate."""
         for b in self.branches:
             if b.kind in unknown and b.kind != b.name:
                 return f"the coordinate of {b.kind!r} is {b.name}"
         return ""
 
     def _check_names(self, what: str, tree: Tree, allowed: set[str]) -> None:
-        """Refuse variables of the expression ``what`` that are not ``allowed``."""
+        """Reject variables of the expression ``what`` that are not ``allowed``."""
         strange = sorted(names(tree) - allowed - set(self.parameters))
         if strange:
             words = ", ".join(strange)
@@ -349,7 +349,8 @@ class Declaration:
             )
 
     def _check_content(self) -> None:
-        """Refuse a content without effect, such as one of a displacement in place of its rate."""
+        """Reject a content without effect, such as a function of a displacement instead of its
+        rate."""
         tree = self._tree("content")
         variables = {b.lossy_variable for b in self.acting_branches}
         if tree != ZERO and not names(tree) & variables:
@@ -381,7 +382,7 @@ class Declaration:
 
     @property
     def offers_heat_pin(self) -> bool:
-        """Whether it has losses that a pin of heat can give off, and no temperature yet."""
+        """Whether the part has losses for a pin of heat, but no temperature yet."""
         names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
             *self.domains,
             *self.variables,
@@ -401,8 +402,8 @@ class Declaration:
         Parameters
         ----------
         temperature_coefficient : float, optional
-            Relative rise of the conductors' resistance for each kelvin [1/K], by default that of
-            the declaration.
+            Relative rise of the conductors' resistance for each kelvin [1/K], by default the value
+            of the declaration.
         reference_temperature : float, default 0
             Rise over the pin ``ambient`` [K] at which the stated resistances hold.
 
@@ -433,8 +434,15 @@ class Declaration:
             change["limits"] = limits
             change["given"] = (
                 *self.given,
-                Param(COEFFICIENT, coefficient, "1/K", "rise of resistances for each kelvin"),
-                Param(REFERENCE, reference_temperature, "K", "rise at which resistances hold"),
+                Param(
+                    COEFFICIENT, coefficient, "1/K", "temperature coefficient of the resistances"
+                ),
+                Param(
+                    REFERENCE,
+                    reference_temperature,
+                    "K",
+                    "temperature rise of the stated resistances",
+                ),
             )
         return replace(self, branches=(*self.branches, HEAT_BRANCH), heated=True, **change)
 
@@ -501,7 +509,7 @@ class Declaration:
             return self.validity
         if any(domain.relaxes for domain in self.domains.values()):
             return "keys independent of temperature; nothing here ages or breaks"
-        return "constant temperature; nothing here heats up, ages or breaks"
+        return "constant temperature; no heating, ageing or failure"
 
     @cached_property
     def with_loop_pin(self) -> Declaration:
@@ -658,7 +666,7 @@ class Declaration:
     def loss_coefficient(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch for small signals.
 
-        The coefficient is zero for a flow of heat, which has no noise of this kind.
+        The coefficient is zero for a heat flow, which has no thermal noise.
         """
         if branch.domain.power == "through":
             return ZERO
@@ -712,10 +720,10 @@ class Declaration:
 
     @cached_property
     def network_loss(self) -> Tree:
-        """Sum of the products across times through that no storage takes up.
+        """Sum of the products of across and through quantities that are not stored.
 
-        These products sum to zero over a network (Tellegen's theorem). At a pin of heat they are
-        that of temperature and heat flow.
+        These products sum to zero over a network (Tellegen's theorem). At a pin of heat, the
+        product is temperature times heat flow.
         """
         branch = self.heat_branch
         if branch is None:

@@ -104,7 +104,7 @@ class DeclaredLaw(Device):
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _lower_pin(self, b: Branch) -> str:
-        """Lower pin of a branch; empty if it is the reference of another kind of branches."""
+        """Lower pin of a branch; empty if the pin is the reference of another kind of branches."""
         return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
@@ -257,7 +257,7 @@ class DeclaredLaw(Device):
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)
-        for k in range(len(flags)):  # one may depend on those before
+        for k in range(len(flags)):  # each may depend on earlier ones
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags

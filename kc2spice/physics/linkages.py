@@ -5,7 +5,8 @@ With a coenergy that is quadratic in the currents ``i`` of a declaration, the vo
     v_k = dR/di_k + d(psi_k)/dt + phi_k'(x) x_rate,     psi_k = sum_l L_kl(x) i_l
 
 Here ``phi_k`` is the flux linkage without currents and ``L`` the second derivative of the coenergy
-by the currents, functions of the displacements ``x``. The states of the netlist are ``psi_k``.
+with respect to the currents. Both are functions of the displacements ``x``. The states of the
+netlist are ``psi_k``.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ class Linkages:
         return tuple(result)
 
     def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:
-        """Return the mean inductance [H] and the inverse of L relative to it (points, n, n)."""
+        """Return the mean inductance [H] and the inverse of L relative to the mean (points, n,
+        n)."""
         rows = [[lookups.values(tree) for tree in row] for row in self.inductances]
         matrix = np.moveaxis(np.array(rows), 2, 0)
         mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))

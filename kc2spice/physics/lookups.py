@@ -70,7 +70,7 @@ class Lookups:
     """Lookups in the ``laws`` of a declaration with ``tables``.
 
     Each term of a law has at most one table as a factor. Terms with equal other factors share one
-    lookup. A lookup that occurs once is written into its law, every other one is a node.
+    lookup. A lookup that occurs once is written into its law; every other lookup is a node.
 
     Raises
     ------
@@ -143,7 +143,7 @@ class Lookups:
         return Binary("-", f, Binary("*", weight, b))
 
     def split(self, law: Tree) -> list[Tree]:
-        """Return a law as terms with labels of lookups; those of nodes are one term."""
+        """Return a law as terms with labels of lookups; lookups with nodes form one term."""
         if not has_tables(law, self.tables):
             return [law]
         terms, rest = split_calls(law, self.tables)
@@ -174,10 +174,10 @@ def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number,
     ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
     differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
     parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
-    slope jumps at every point. One more cubic value on either side keeps that up to both ends;
-    beyond, the function is constant. Of ``b``, smooth itself, only those points remain that move
-    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
-    ngspice reads a table in the square of its length.
+    slope jumps at every point. One additional cubic value on either side keeps this order up to
+    both ends. Beyond the ends the function is constant. Points of the smooth ``b`` that change ``f
+    - w b`` by less than a sixteenth of a fourth difference, which the blend neglects, are left
+    out, because ngspice needs a time in proportion to the square of the length to read a table.
     """
     weights = np.array([4, -6, 4, -1])
     first, last = weights @ values[:4], weights @ values[:-5:-1]

@@ -87,7 +87,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- pins and netlist -------------------------------------------------------------------------
 
     def declared(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Declaration of a part, by default that of its type."""
+        """Declaration of a part, by default the declaration of its type."""
         return self.declaration
 
     def built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
@@ -294,8 +294,8 @@ def _merge_inner_paths(
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
-    If there is a base, all upper pins precede the lower pins. The velocity of a rigid body stands
-    before its displacement.
+    If there is a base, all upper pins precede the lower pins. The velocity of a rigid body is
+    listed before its displacement.
     """
     d, result = declaration, dict[str, Pin]()
     ends = [(b.plus, b.minus, b.less) for b in d.branches]
@@ -423,12 +423,13 @@ def balance_energy(
 ) -> Iterator[Balance]:
     """Yield the energy balance of a transient if all coordinates were recorded.
 
-    A part that neither moves nor has a pin of heat has none.
+    A part without motion and without a pin of heat has no check.
 
     The work at the pins is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
-    into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both by what the run has at
-    the pins: a charge, a flux or a loss that is not the declared one does not balance. At a pin of
-    heat the work is the integral of the heat flow. All losses leave by this pin.
+    into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both from the waves at the
+    pins. A netlist with a charge, flux or loss that differs from the declaration violates the
+    balance. At a pin of heat the work is the integral of the heat flow. All losses leave by this
+    pin.
     """
     d, time = declaration, waves["time"]
     if not (d.displacements or d.heated) or set(recorded) != {
@@ -489,8 +490,8 @@ def _compute_step_heat(
 ) -> np.ndarray:
     """Heat (nt - 1,) of each step, from the variables ``known`` (nt,) at both of its ends.
 
-    The velocity of a coordinate without mass jumps at each corner of the drive. ``means``
-    (nt - 1,) are its mean velocities over the steps, and replace the values at the ends.
+    The velocity of a coordinate without mass jumps at each corner of the drive. ``means`` (nt -
+    1,) are mean velocities over the steps, which replace the values at the ends.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -508,8 +509,8 @@ def _compute_step_work(
 ) -> np.ndarray:
     """Work (nt - 1,) in each step of forces (nt,) on displacements (nt - 1,).
 
-    The work is the mean force times the change of the displacement. With ``jumps`` it may be that
-    of the values at the end of the step, if this is nearer to ``near``.
+    The work is the mean force times the change of the displacement. With ``jumps``, the values at
+    the end of the step are used if the result is nearer to ``near``.
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
@@ -525,7 +526,7 @@ def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
 
 
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Integrate a rate over each step as simulators do (nt - 1,).
+    """Integrate a rate over each step (nt - 1,) by the rule of simulators.
 
     Simulators use the trapezoidal rule, or the value at the end of a step after a jump. The result
     is the one that is nearer to ``near`` (nt - 1,).

@@ -4,8 +4,8 @@ The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic th
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
 ``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
 e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and ``integral(f,
-x)``, that of ``f(x)`` from zero to ``x``, which exists as a number and by its derivative but has no
-text in a netlist.
+x)``, the integral of ``f(x)`` from zero to ``x``, which has a value and a derivative but no form
+in a netlist.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _REPLACEMENTS = {
 }
 # Functions whose arguments are restricted.
 _RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
-# Derivatives of functions by their argument u.
+# Derivatives of functions with respect to their argument u.
 _CHAIN_RULES = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
     "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
@@ -67,12 +67,13 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
     """Parse ``text`` and simplify it.
 
-    ``tables`` are functions of one argument whose values are given with those of names. The
+    ``tables`` are functions of one argument; their values are passed with the values of names. The
     derivative of a table ``f`` is ``f_slope``.
 
     Raises
     ------
-    UsageError : not an expression, or a function or operator without a derivative here.
+    UsageError : the text is not an expression, or contains a function or operator without a
+    derivative.
     """
     tree = parse_expression(text, where=where)
     for node in walk_tree(tree):
@@ -155,7 +156,7 @@ def names(tree: Tree) -> frozenset[str]:
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
-    """Whether the derivatives by all ``variables`` do not depend on the variables."""
+    """Whether the derivatives with respect to all ``variables`` are constant."""
     return all(variables.isdisjoint(names(differentiate_tree(tree, name))) for name in variables)
 
 
@@ -238,7 +239,7 @@ def _chain_rule(function: str, value: Tree) -> Tree:
 
 
 def _product(left: Tree, right: Tree) -> Tree:
-    """Product, or zero if either factor is zero: most derivatives of a long sum are."""
+    """Product, or zero if either factor is zero, as most derivatives of a long sum."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 
@@ -307,7 +308,8 @@ def _number(value: Fraction | float) -> Number:
 
 
 def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
-    """Factors without steps that repeat ``max(0, e)`` of the same e, its root, or a step."""
+    """Factors without the steps that are redundant next to ``max(0, e)`` of the same e, its root,
+    or another step."""
     factors: list[Tree] = []
     for factor in counts.elements():
         match factor:

@@ -235,7 +235,7 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
-    # without mass, the row of a net is its balance of forces
+    # without mass, the row of a net is its force balance
     if guess is not None and not places.size:
         forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0

@@ -1,10 +1,10 @@
 """Transient with equal steps of laws, and of bodies represented by their ports (`PortBody`).
 
 A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method with
-the rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)``, where ``r`` is the effect of its past.
-Thus ``y = H(s) a + C P(s)^-1 r``. All steps need one factorisation. Each stage needs one back
-substitution, and the solution of a small nonlinear system of all other laws, in which the body is p
-linear relations.
+the rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)``, where ``r`` is the effect of earlier
+steps. Thus ``y = H(s) a + C P(s)^-1 r``. All steps need one factorisation. Each stage needs one
+back substitution, and the solution of a small nonlinear system of all other laws, in which the
+body is p linear relations.
 
 The method is that of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977): two stages, second order,
 L-stable, so that motions that are too fast for the steps decay instead of ringing::
@@ -143,7 +143,8 @@ def integrate_steps(
 
     Raises
     ------
-    SimulationError : no equilibrium, a stage that does not settle, or a law that left its range.
+    SimulationError : there is no equilibrium, a stage does not converge, or a law is outside of
+    its range.
     """
     z, modes = equilibrium(system)
     march = _StepIntegrator(system, modes, step)
@@ -198,7 +199,7 @@ class _StepIntegrator:
         return tuple(interval.modes[k] for k, _ in self.others)
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Compute the unknowns a step after ``t``, and set the modes to those at its end."""
+        """Compute the unknowns one step after ``t``, and set the modes at the end of this step."""
         stored = self.interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
         first = self._solve_stage(within, z, stored, False)

@@ -44,7 +44,7 @@ _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
 # factor on the estimate of rounding errors, which uses one set of random signs
 _ROUNDING_FACTOR = 3.0
-# Polynomials through the start and the stages, and through the stages alone.
+# Polynomials through the start and the stages, and through only the stages.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
 _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
@@ -150,7 +150,7 @@ class Radau:
     def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
         """Estimate the change (n, 3) of the stages that rounding of the residual causes.
 
-        Each equation has a rounding error of its own, of the size of its largest terms.
+        Each equation has its own rounding error, in proportion to its largest terms.
         """
         flow, stored = self.interval.term_sizes(X)
         sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
@@ -270,7 +270,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Error of a run's energy: the supplied energy [J] that is neither stored nor lost.
+    """Energy error of a run: the supplied energy [J] that is neither stored nor lost.
 
     Its scale is the ``turnover``: the sum of the supplied energy, the lost energy and the energy at
     the start.
@@ -299,7 +299,8 @@ class Trajectory:
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
         ``NAME.state`` and those that a device adds.
         """
-        # ngspice may round the time of a corner otherwise: it still belongs to the segment before.
+        # ngspice may round the time of a corner differently: the corner still belongs to the
+        # segment before.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -389,7 +390,7 @@ def _find_triggered_guard(
 ) -> int | None:
     """Return the index of an event function that becomes negative at a jump of algebraic unknowns.
 
-    ``left`` are the guards before the jump, nan for those that have switched.
+    ``left`` are the guards before the jump, nan for guards that have switched.
     """
     guards = interval.guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
@@ -417,7 +418,7 @@ def _integrate_interval(
 ) -> tuple[list[Step], int | None]:
     """Integrate to ``end``, or to the first guard that falls to zero.
 
-    Returns the steps and the number of this guard, None without one.
+    Return the steps and the number of this guard, None without a guard.
     """
     z = interval.solve_algebraic(t, z)
     before = interval.guards(t, z)

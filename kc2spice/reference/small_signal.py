@@ -2,7 +2,7 @@
 
 The exact motion is that under waveforms of straight lines and sines.
 
-A linear law with the admittance ``Y`` (through by rate of across) has through quantities of the
+A linear law with the admittance ``Y`` (through per rate of across) has through quantities of the
 spectral density ``4 k T (Y + Y^H) / 2`` (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34; one
 sided, per Hz). The noise of a body follows from the responses at its ports. The netlist of the
 body contains a noise force of each mode instead.
@@ -247,8 +247,8 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
 def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     """Compute rates (m,), shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
 
-    The last result are left vectors (n - m, n) of motions without restoring force. The rates are
-    None if the shapes are no basis.
+    The last result contains left vectors (n - m, n) of motions without restoring force. The rates
+    are None if the shapes do not form a basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     T, Q, k = sla.schur(
@@ -349,7 +349,7 @@ class ExponentialSolution:
         """Compute waves (nt, len(outputs)) at increasing times.
 
         The waves are those of a rule of integration if ``rates`` maps the rates of modes, and
-        ``axis`` the frequency ``j w`` of a sine, to those that the rule integrates.
+        ``axis`` the frequency ``j w`` of a sine, to the values of this rule.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)

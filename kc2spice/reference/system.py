@@ -123,7 +123,8 @@ def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -
 class _Assembly:
     """Raw equations of laws before the elimination of constraints.
 
-    The row of a displacement is a balance of forces, the row of a node voltage one of currents.
+    The row of a displacement is a balance of forces, the row of a node voltage a balance of
+    currents.
     """
 
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
@@ -241,7 +242,8 @@ class _Assembly:
         return row
 
     def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Subtract the linear forms of ``others`` from that of a pin; empty names are ignored."""
+        """Subtract the linear forms of ``others`` from the form of a pin; empty names are
+        ignored."""
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
     def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
@@ -317,7 +319,7 @@ class _Assembly:
         Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        # Sources and resistors have no state; one constant state spares solvers this special case.
+        # Sources and resistors have no state; one constant state avoids a special case in solvers.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)

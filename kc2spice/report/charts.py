@@ -64,7 +64,7 @@ def render_figure(figure: Figure) -> str:
 
 
 def _prepare_panel(panel: Panel) -> Iterator[Panel]:
-    """Split a panel into panels with few ascending curves; none if it is empty."""
+    """Split a panel into panels with few ascending curves; an empty panel gives no panels."""
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))
 
@@ -136,7 +136,7 @@ def _scale_labelled(rows: Iterable[Sequence[Any]], scale: float) -> Iterator[Any
 
 
 def _spans_decade(panel: Panel) -> bool:
-    """Return whether the largest positive y is ten times the smallest one or more."""
+    """Return whether the largest positive y is at least ten times the smallest."""
     y = _y_values(panel)
     y = y[np.isfinite(y) & (y > 0.0)]
     return bool(y.size) and bool(y.max() >= 10.0 * y.min())
@@ -260,7 +260,7 @@ def _y_values(panel: Panel) -> np.ndarray:
 
 
 def _finite_range(values: np.ndarray) -> Range:
-    """Return the smallest and the largest finite value; 0 and 1 without one."""
+    """Return the smallest and the largest finite value; 0 and 1 if no value is finite."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     return (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
@@ -303,7 +303,7 @@ def _join_ranges(ranges: Iterable[Range]) -> Range:
 
 
 def _widen_range(ends: Range) -> Range:
-    """Return ``ends``, or a range about both if they are equal."""
+    """Return ``ends``, or a range around them if they are equal."""
     low, high = ends
     half = abs(low) / 2 or 1.0
     return (low, high) if low < high else (low - half, high + half)
@@ -340,7 +340,7 @@ def _encode_numbers(values: np.ndarray) -> str:
 
 
 def _separate_equal(x: np.ndarray) -> np.ndarray:
-    """Replace equal ones of ascending float32 numbers by the next larger numbers.
+    """Replace equal numbers among ascending float32 numbers by the next larger numbers.
 
     The bits of positive floats have the order of integers; the bits of negative floats have the
     reverse order.

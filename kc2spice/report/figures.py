@@ -145,7 +145,7 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
 def _set_log_scale(axes: Any, axis: Any) -> None:
     """Make an axis logarithmic, with plain numbers at 1, 2, 5, … or at decades.
 
-    Minor ticks and powers of ten would take longer to draw than the rest of a figure.
+    Minor ticks and powers of ten would take longer to draw than all other elements of a figure.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 

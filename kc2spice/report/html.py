@@ -72,7 +72,7 @@ def label_key(key: str, unit: str = "") -> str:
 
 
 def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
-    """Return labels of keys; those of several keys also name the quantity of the unit.
+    """Return labels of keys; labels that would be equal also contain the quantity of the unit.
 
     Examples
     --------

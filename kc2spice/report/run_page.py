@@ -242,7 +242,7 @@ def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dic
 
 
 def _chop_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """Return 0 for a number that is a rounding error beside others of its unit."""
+    """Return 0 for a number that is a rounding error relative to others of its unit."""
     noise = isinstance(value, float) and abs(value) < ROUNDING_NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
 

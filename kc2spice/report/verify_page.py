@@ -30,8 +30,8 @@ class Findings:
     ``errors`` contains the largest relative error of each of
     :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the time of each stage,
     ``left_out`` the names of parts without a law. ``answers`` contains the metrics of each
-    solution: ``ngspice``, ``rom`` (laws) and ``fom`` (full models, for the part of the run that
-    they cover).
+    solution: ``ngspice``, ``rom`` (laws) and ``fom`` (full models, for the covered part of the
+    run).
     """
 
     checks: list[Check] = field(default_factory=list)

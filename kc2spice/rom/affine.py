@@ -134,7 +134,7 @@ class AffineModel:
 
     Raises
     ------
-    UsageError : no parameter or more than four, two with one name, or a matrix that does not fit.
+    UsageError : no parameter or more than four, equal names, or a matrix of another size.
 
     Examples
     --------
@@ -243,8 +243,8 @@ def reduce_affine(
     tolerance : float
         Largest relative error over the band and over the ranges.
     band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz. By default it is the band of the model, otherwise it
-        ends a little above the fifth natural frequency in the middle of the ranges.
+        Lowest and highest frequency in Hz. The default is the band of the model. Without one, the
+        band ends a little above the fifth natural frequency in the middle of the ranges.
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     progress : callable, optional
@@ -308,7 +308,7 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 
 def _proportional(model: LinearModel) -> LinearModel:
-    """Return a model without damping as one with proportional damping of zero.
+    """Return a model without damping as a model with proportional damping of zero.
 
     Raises
     ------

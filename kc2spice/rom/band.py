@@ -32,8 +32,8 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
 
     Raises
     ------
-    UsageError : the model has no such frequency; a band must be given. Or it is too large for this
-        machine.
+    UsageError : the model has no natural frequency, so a band is required. Or it is too large for
+        this machine.
     """
     try:
         if pencil.degree == 2 and pencil.symmetric:
@@ -64,7 +64,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     all modes if there are fewer.
 
     Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
-    ``x'Kx`` is no more than rounding of the entries of K leaves is one of a rigid body.
+    ``x'Kx`` is within the rounding error of the entries of K is a rigid-body mode.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.size <= MAX_DENSE_EQUATIONS:

@@ -1,10 +1,10 @@
 """State spaces in other coordinates: decoupled real blocks.
 
-Blocks are one per real pole, one 2 x 2 per complex pair. Repeated poles, and poles so close that
-their separation would cost digits, remain in one larger block, as does a defective pole. Source:
-Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled by
-Sylvester equations of bounded solution. The bound is raised for as long as the response keeps its
-digits: a netlist grows with the square of a block.
+A real pole is one block, and a complex pair is one 2 x 2 block. Repeated poles, and poles so close
+that their separation would cost digits, remain in one larger block, as does a defective pole.
+Source: Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled
+by Sylvester equations of bounded solution. The bound is raised as long as the response keeps its
+accuracy, because a netlist grows with the square of the size of a block.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ class BlockModel(EqualByContent):
     """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
 
     The real square blocks have any size. The ``coupled`` signals w have no states: ``0 = P z + Q u
-    + S w``. These inputs close loops around blocks that have few entries without the loops, such as
-    waves at the ports of a measured multiport. ``loops`` is ``(F, P, Q, R, S)``, None without
-    loops.
+    + S w``. These inputs close loops, such as waves at the ports of a measured multiport. Without
+    the loops, the blocks have few entries. ``loops`` is ``(F, P, Q, R, S)``, None without loops.
     """
 
     blocks: tuple[np.ndarray, ...]

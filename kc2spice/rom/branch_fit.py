@@ -1,6 +1,6 @@
 """Fit of a passive circuit of parallel branches with leads to a measured one-port.
 
-With s = j w, and no amplitude below zero, so that no choice of the others gives power::
+With s = j w and amplitudes of at least zero, the circuit is passive for all other parameters::
 
     Y_p(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
                + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
@@ -14,15 +14,16 @@ current flows through it.
 
 Least squares of the logarithm of the deviation, log(Y / Y_measured), give the logarithms of all
 parameters (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105): for
-small deviations the relative one, without its minimum at Y = 0. Elements are added one by one:
-resonances start at the largest conductance that the elements do not yet describe, relaxations and
-inductances on a grid of time constants, leads at shares of the largest possible ones. An element
-stays if the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461) falls; elements
-without which it falls further are removed, and leads replace branches above the band.
+small deviations this is the relative deviation, but without a minimum at Y = 0. Elements are added
+one by one: resonances start at the largest conductance that the elements do not yet describe,
+relaxations and inductances on a grid of time constants, leads at shares of the largest possible
+ones. An element stays if the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978)
+461) falls; elements without which it falls further are removed, and leads replace branches above
+the band.
 
 Rounding of the samples has no effect on the number of elements: a sum is refined to its minimum
-before it is judged, equal criteria decide by the order of the forms, and the search ends at a
-deviation that rounding of the frequencies explains.
+before its criterion is evaluated, the order of the forms decides between equal criteria, and the
+search ends at a deviation within the rounding of the frequencies.
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ def fit_one_port(
     Parameters
     ----------
     noise : relative standard deviation of one component of Y, for the certificate's text.
-    conductance : at zero frequency [S], 0 of a part that blocks direct current; follows from the
-        samples if None.
+    conductance : at zero frequency [S], 0 for a part that blocks direct current; None derives it
+    from the samples.
     """
     samples = Samples(f, Y, conductance)
     elements = fit_branches(samples)
@@ -154,7 +155,7 @@ def _count_parameters(elements: Elements) -> int:
 
 
 def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Select the first of the sums whose criterion is as good as the least.
+    """Select the first sum whose criterion equals the least criterion.
 
     Rounding of the criterion then has no effect.
     """
@@ -204,7 +205,7 @@ def _log_time(element: FitElement) -> float:
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
     """Whether each element exceeds the deviation at more samples than parameters.
 
-    An element that describes the noise of one sample does not.
+    Elements that describe only the noise of one sample are not selected.
     """
     left = -np.expm1(-samples.rms(elements))  # relative to Y
     return all(
@@ -282,7 +283,7 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
 
 
 def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
-    """Sums with one element more, to be polished: the best of every form."""
+    """Sums with one additional element, the best of every form, before their refinement."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -294,8 +295,8 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that the elements leave.
 
-    The resonance has the height of the peak and its width at half of the height. A capacitance is
-    added if there is none.
+    The resonance has the height of the peak and the width at half of the height. A capacitance is
+    added if it is missing.
     """
     missing = samples.missing(elements)
     top = int(np.argmax(missing.real))
@@ -340,7 +341,7 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
 
 
 def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
-    """Leads of one form that are shares of the largest that no sample contradicts."""
+    """Leads of one form, as fractions of the largest lead that agrees with all samples."""
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
     return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]

@@ -27,7 +27,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
 
     Raises
     ------
-    SimulationError : the model has a state whose rate double precision cannot tell from zero.
+    SimulationError : the model has a state whose rate is zero within double precision.
     UsageError : the model has no state-space form, which a netlist needs.
     """
     task, response, proof = basis.task, basis.leading(order), basis.proof(order)

@@ -12,12 +12,12 @@ elastic strain alone relaxes, that is, displacements less those of the free body
     C_T = D + sum_j g_j^2 / omega_j^2,         chi = 1 + j / Q,        psi = 1 - j tan delta,
 
 with chi for ``1 / (1 - j / Q)``, which differs from it by ``1 / Q^2``. The free body at rest thus
-has the tangent of its data sheet and no loss of motion; the clamped one has
-``D - j (C_T tan delta + (C_T - D) / Q)``. By causality chi and psi are powers of frequency
+has the loss tangent of the data sheet and no mechanical loss; the clamped body has ``D - j (C_T
+tan delta + (C_T - D) / Q)``. By causality chi and psi are powers of frequency
 (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`), equal to the above at the
-frequency of the stated constants: that of the damping, and 1 kHz of the permittivity. Both become
-sums of relaxations with positive amplitudes, so that every term stores and loses energy and the
-whole is passive as long as its instantaneous capacitance is positive.
+frequency of the stated constants: the frequency of the damping, and 1 kHz for the permittivity.
+Both become sums of relaxations with positive amplitudes, so that every term stores and loses
+energy and the whole is passive as long as its instantaneous capacitance is positive.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ def complex_constants_model(model: Resonators, losses: ComplexConstants) -> Line
     Parameters
     ----------
     model : Resonators
-        Modes with inertia and a certificate, in whose band the losses are constant; their own
-        damping is replaced.
+        Modes with inertia and a certificate, in whose band the losses are constant; their damping
+        is replaced.
     losses : ComplexConstants
         Loss factor and tangent.
 

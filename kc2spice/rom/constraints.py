@@ -9,8 +9,8 @@ q = Z'B u`` has the same response; the multipliers follow from the first equatio
 definiteness remain.
 
 A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. A basis that splits E
-into a regular part and zeros shows algebraic equations. Those that determine their unknowns (index
-1) are eliminated; the others are constraints with multipliers (index 2)::
+into a regular part and zeros shows algebraic equations. Equations that determine their unknowns
+(index 1) are eliminated; the others are constraints with multipliers (index 2)::
 
     E1 x' + P1 x + L l = B1 u        G x = B3 u        x = Z q + R u,  G R = B3
 
@@ -50,8 +50,8 @@ NEGLIGIBLE_TERM = 1e-10  # relative size of a term that is zero within rounding
 def eliminate_constraints(pencil: Pencil) -> Pencil:
     """Eliminate the constraints that Lagrange multipliers enforce.
 
-    The result is the same pencil if there are none, or if its response contains derivatives of its
-    input.
+    The result is the same pencil without such equations, or if the response contains derivatives
+    of the input.
     """
     rest, *others = pencil.coefficients
     if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
@@ -66,7 +66,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     Z, rank = null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # the multipliers load other unknowns than those that they constrain
+        return pencil  # the multipliers act on unknowns that they do not constrain
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
@@ -175,7 +175,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     B, C = full.B / rows[:, None], full.C / columns
     U, V, rank = _split_by_rank(E, symmetric or np.array_equal(inertia, inertia.T))
     P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
-    # algebraic equations: those that determine their unknowns, then constraints
+    # algebraic equations: first equations that determine their unknowns, then constraints
     U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest_entry(P))
     left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
     P, B, C = left.T @ P @ right, left.T @ B, C @ right

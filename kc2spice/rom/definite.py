@@ -46,7 +46,7 @@ def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # the error of the factor may exceed that of the entries, which define a soft support
+    # the error of the factor may exceed the error of the entries, which define a soft support
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

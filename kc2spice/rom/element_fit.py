@@ -22,7 +22,7 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import CircuitBranch
 
-INSTRUMENT_DEVIATION = 1e-5  # relative rms deviation; no instrument is more accurate
+INSTRUMENT_DEVIATION = 1e-5  # relative rms deviation; instruments are not more accurate
 ROUNDING_FACTOR = 1.5  # accepted deviation as a multiple of the effect of rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
 DEVIATION_FLOOR = 1e-6  # relative deviation that elements need not describe
@@ -167,7 +167,7 @@ class Samples:
 
     @property
     def conducts_direct_current(self) -> bool:
-        """Whether direct current flows, as given or according to the phase at low frequencies.
+        """Whether direct current flows, as stated or according to the phase at low frequencies.
 
         If direct current flows, the mean phase at the lowest frequencies differs from that of a
         capacitor.
@@ -247,7 +247,7 @@ class Samples:
     def criterion(self, elements: Elements) -> float:
         """Compute the Bayesian information criterion of a fit.
 
-        :data:`DEVIATION_FLOOR` is noise in addition to that of the samples.
+        :data:`DEVIATION_FLOOR` is noise in addition to the noise of the samples.
         """
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)

@@ -28,7 +28,7 @@ from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
 
 # Number of states of the comparison model, relative to the reduced model, and smallest number of
 # additional states. Example: the stroke of a chip with 0.1 % damping under a kick, with 30 states,
-# differs by 1.9, 1.7 and 1.7 % (rms) from that with 60, 120 and 300 states.
+# differs by 1.9, 1.7 and 1.7 % (rms) from the stroke with 60, 120 and 300 states.
 STATE_RATIO = 2
 MIN_ADDED_STATES = 60
 # end of the band, relative to the requested one, for models that need vectors at other frequencies
@@ -72,7 +72,7 @@ class Orders:
 
         Raises
         ------
-        SimulationError, UsageError : no such model is known to be better.
+        SimulationError, UsageError : no model with more states is known to be better.
         """
         pencil, ports = self._pencil, self.model.ports
         states = max(STATE_RATIO * order, order + MIN_ADDED_STATES)
@@ -148,10 +148,10 @@ def time_errors(
 
     The load is (n, inputs).
 
-    Each is relative to the largest rms change that the load of one of the ``groups`` (masks of
-    inputs), the direct term D or all loads together make of that output: loads that cancel, as a
-    voltage across an open electrode does, count by themselves. The result is None if a response is
-    missing.
+    Each error is relative to the largest rms change of this output due to one of: the loads of one
+    of the ``groups`` (masks of inputs), the direct term D, or all loads together. Loads that
+    cancel, such as the voltage across an open electrode, therefore count separately. The result is
+    None if a response is missing.
     """
     ours = response(small, t, load)
     alone = [response(rich, t, load * group) for group in groups]

@@ -30,8 +30,8 @@ def reference_share(norm: str) -> float:
 class Entries:
     """Entries (outputs, inputs) of a response over a band.
 
-    ``peak`` is the largest size of each entry, of entries that are ``zero`` the geometric mean
-    ``rows columns`` of their row and column.
+    ``peak`` is the largest size of each entry. For entries that are ``zero`` it is the geometric
+    mean ``rows columns`` of their row and column.
     """
 
     peak: np.ndarray
@@ -60,7 +60,7 @@ class Entries:
     def base(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
         """Sizes that errors of the response H (..., outputs, inputs) are relative to.
 
-        Each is the size of the entry, but at least this ``share`` of its peak.
+        Each reference is the size of the entry, but at least this ``share`` of its peak.
         """
         size = np.abs(H)
         if self.zero.any():

@@ -103,7 +103,7 @@ def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> n
     """Place ``ZOOM_FREQUENCIES`` frequencies from each ``known[low]`` to ``known[high]``.
 
     Frequencies that are ``known`` are left out, and each of the others occurs once. If two
-    frequencies differ by rounding only, one would hide a maximum next to the other.
+    frequencies differ only by rounding, one could hide a maximum next to the other.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
     points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
@@ -158,8 +158,8 @@ class ErrorEstimator:
     def failed(self) -> dict[float, np.ndarray]:
         """Frequencies [Hz] of the largest errors so far, with the exact response.
 
-        The latest are the last. The next inaccurate model is likely to fail at these first. At
-        first they are a few over the band.
+        The latest are the last. The next inaccurate model is likely to fail at these first. The
+        first frequencies are a coarse grid over the band.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
@@ -213,8 +213,8 @@ def errors_above_band(
     """Errors ``above`` the band of a :class:`Certificate`.
 
     The errors are the largest relative differences of the driving-point response of any mechanical
-    port at ``MULTIPLES_ABOVE_BAND`` times the end of the band. There are none without a mechanical
-    port.
+    port at ``MULTIPLES_ABOVE_BAND`` times the end of the band. The result is empty without a
+    mechanical port.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
@@ -250,7 +250,7 @@ def relative_size(
 ) -> np.ndarray:
     """Errors (..., outputs, inputs) relative to entries.
 
-    By default, the ``entries`` are those of the reference. See
+    By default, the ``entries`` are the entries of the reference. See
     :meth:`kc2spice.rom.entries.Entries.relative_sizes`.
     """
     entries = entries or Entries.of(reference)

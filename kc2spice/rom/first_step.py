@@ -61,8 +61,9 @@ def intermediate_model(
 ) -> IntermediateModel:
     """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
 
-    If rounding errors of the full model's solutions exceed ``target``, the error is at most
-    ``limit``. The model of a free body has few states if its rigid-body modes are ``deflated``.
+    If rounding errors of the solutions of the full model exceed ``target``, an error of at most
+    ``limit`` is accepted. The model of a free body has few states if its rigid-body modes are
+    ``deflated``.
 
     Raises
     ------
@@ -140,7 +141,7 @@ def _restore_units(
 def _use_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = MAX_COMPLETE_STATES
 ) -> IntermediateModel | None:
-    """Return a small model unchanged; None if its response is too slow to evaluate.
+    """Return a small model unchanged; None for a model whose response is too slow to evaluate.
 
     Raises
     ------

@@ -134,7 +134,7 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
     """Find modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
 
-    The ``factor`` is that of the shifted elastic stiffness. Modes that take no elastic force but
+    The ``factor`` belongs to the shifted elastic stiffness. Modes without elastic forces that
     change potentials have energy. No column is returned if the next mode is not above the shift.
     """
     K, _, M = pencil.coefficients

@@ -43,7 +43,8 @@ DIGITS_PER_MODE = 30
 
 @dataclass(frozen=True, eq=False)
 class FosterNetwork(EqualByContent):
-    """Resistances (n,) [K/W] in series, each beside a heat capacity of a time constant (n,) [s].
+    """Resistances (n,) [K/W] in series, each in parallel with a heat capacity; time constants (n,)
+    [s].
 
     ``direct`` [K/W] is a resistance without a heat capacity.
 
@@ -151,7 +152,7 @@ def require_form(form: str | None, where: str) -> NetworkForm | None:
 
     Raises
     ------
-    UsageError : no such form.
+    UsageError : the form does not exist.
     """
     if form is None:
         return None

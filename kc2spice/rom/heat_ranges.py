@@ -55,7 +55,7 @@ from kc2spice.rom.varying import interpolate_facts, make_range_error
 SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at single values
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
 FINAL_SHARE = 0.6  # share of the tolerance at the samples
-SAFETY = 1.5  # margin on values between those at which the error is known
+SAFETY = 1.5  # margin for values between the samples
 SAMPLES = 8  # random samples of the ranges for each parameter, beside their corners
 CHECKS = 4  # and a corner: full models that nothing is made from
 ROUNDS = 4  # times that checked values become samples, because the error was too large there
@@ -68,12 +68,11 @@ FACT_DEGREE = 6  # highest degree of the polynomials of facts
 class HeatReduction:
     """Reductions of heat models over the same ranges, which share the terms of the matrices.
 
-    ``prescribed`` are the names of ports whose temperatures are prescribed, as those of isothermal
-    faces are.
+    ``prescribed`` are the names of ports with prescribed temperatures, such as isothermal faces.
 
     Raises
     ------
-    UsageError : matrices that are no sum of terms with powers of the parameters as factors.
+    UsageError : the matrices are not sums of terms with powers of the parameters as factors.
     """
 
     def __init__(
@@ -89,9 +88,9 @@ class HeatReduction:
         """Reduce the models over the ranges of the axes.
 
         The certificate holds for all values in the ranges. Its error is the largest relative
-        difference, in the norm of the task, times :data:`SAFETY` for values in between. Differences
-        are those to reduced models of the same terms at samples of the ranges, and to full models
-        at :data:`CHECKS` values and a corner that the model was not made from.
+        difference, in the norm of the task, times :data:`SAFETY` for values in between. Reference
+        models are reduced models of the same terms at samples of the ranges, and full models at
+        :data:`CHECKS` values and a corner that were not used for the reduction.
 
         Raises
         ------
@@ -121,7 +120,7 @@ class HeatReduction:
                 return self._finish(ranges, result, error)
             samples += fresh
         problem = "the error cannot be estimated over the ranges of the parameters"
-        got = f"{error:.2g} at a point that nothing was made from"
+        got = f"{error:.2g} at a point that was not used for the reduction"
         raise make_range_error(problem, self._frame.name, got, tolerance)
 
     def _finish(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
@@ -142,7 +141,7 @@ class HeatReduction:
 
 
 class _Ranges:
-    """Full models over the ranges, and the requirements on the reduced one."""
+    """Full models over the ranges, and the requirements on the reduced model."""
 
     def __init__(
         self,
@@ -160,7 +159,7 @@ class _Ranges:
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
     def model(self, values: Values) -> LinearModel:
-        """The full model by the sum of its terms."""
+        """Full model as the sum of its terms."""
         return LinearModel(
             **self.terms.at(values), B=self.frame.B, ports=self.frame.ports, name=self.frame.name
         )
@@ -302,7 +301,7 @@ class _Basis:
         constant = np.zeros((V.shape[1], 1))
         constant[:n] = 1 / np.sqrt(max(n, 1))
         P = np.eye(V.shape[1]) - constant @ constant.T
-        for t in np.flatnonzero(ranges.isolated):  # one temperature everywhere moves no heat
+        for t in np.flatnonzero(ranges.isolated):  # a uniform temperature causes no heat flow
             stiff[t] = P @ stiff[t] @ P
         stored = [_project(E, V) for E in ranges.terms.E]
         return HeatOverRanges(
@@ -363,7 +362,7 @@ def _find_smallest(
 
 
 def _largest_error(model: HeatOverRanges, samples: Sequence[_Reference], limit: float) -> float:
-    """Largest error at the samples; above the limit the first one that exceeds it."""
+    """Largest error at the samples, or the first error that exceeds the limit."""
     result = 0.0
     for item in samples:
         try:

@@ -42,7 +42,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
     Parameters
     ----------
     pencil : Pencil
-        Of first or second order. Symmetric ones of proportional damping are not factorised.
+        Of first or second order. Symmetric models with proportional damping are not factorised.
     band : pair of float, optional
         Band of interest [Hz].
 
@@ -99,7 +99,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
     """Find the direction of the largest energy of a symmetric P with scaled rows.
 
-    The result is None if it is not found.
+    The result is None if no growing pole is found.
     """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():

@@ -29,7 +29,7 @@ class IntermediateModel:
         Evidence for ``error``, for the certificate.
     floor : float
         Relative change of the response by rounding of the full-order model's entries. No reduced
-        model is nearer than that.
+        model is more accurate.
     complete : bool
         Whether this is the full-order model in other coordinates.
     hidden : float

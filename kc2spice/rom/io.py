@@ -1,13 +1,12 @@
 """Files of models: reduced models with certificates, and Matrix Market files.
 
-A reduced model is one ``.npz``, or a Matrix Market family. Damaged Matrix Market files of others
-cause nothing but an error.
+A reduced model is one ``.npz``, or a Matrix Market family. Damaged Matrix Market files of other
+programs cause an error.
 
 scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5, doubles a symmetric matrix of
 which both triangles are stored, and fills a symmetric array that is not square with numbers that
-the file does not hold; here every count is compared with what the file holds, and every index with
-the size, before it is used.
-Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
+the file does not contain. This module compares every count with the content of the file, and every
+index with the size, before use. Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
 """
 
 from __future__ import annotations
@@ -196,7 +195,8 @@ def read_rom(path: Path | str) -> LinearModel:
 
     Raises
     ------
-    UsageError : no such file, damaged, not a reduced model, or not finite.
+    UsageError : the file is missing or damaged, or contains no reduced model or numbers that are
+    not finite.
     """
     path = Path(path)
     if not path.is_file():
@@ -250,7 +250,7 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
 
     Raises
     ------
-    UsageError : there is none, because the model is not reduced.
+    UsageError : the certificate is missing, because the model is not reduced.
     """
     if certificate is None:
         expected = "a model that 'kc2spice reduce' wrote"
@@ -284,7 +284,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
-    """Make the error of a file that is no reduced model from that of its parser."""
+    """Make the error of a file without a reduced model from the error of its parser."""
     return UsageError(
         "this file is not a reduced model",
         where=str(path),
@@ -303,7 +303,7 @@ def require_single_line(text: str, longest: int) -> str:
 
 
 def parse_ports(records: object) -> tuple[Port, ...]:
-    """Make ports from their records, whose words can stand in a netlist.
+    """Make ports from their records, and check that a netlist can contain their words.
 
     Raises
     ------

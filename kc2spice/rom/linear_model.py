@@ -3,7 +3,7 @@
 Full and reduced models are of this class.
 
 A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:`Certificate`.
-Circuits are built from its state-space matrices, which other libraries read too.
+Circuits are built from its state-space matrices, which other libraries can also read.
 """
 
 from __future__ import annotations
@@ -122,9 +122,9 @@ class Certificate:
     millionth of the entry's peak. In the norm *peak* it is relative to the entry's largest value in
     the band. ``method`` names the estimator. ``above`` states differences beyond the band, which
     contact excites and nothing bounds. The dictionary contains frequencies [Hz] and the largest
-    relative difference of the compliance of a mechanical port to a larger model. ``stable`` holds
-    for the full model and the reduced one, None without a proof. ``passive`` means that both are
-    proven passive.
+    relative difference of the compliance of a mechanical port to a larger model. ``stable``
+    applies to the full and the reduced model, None without a proof. ``passive`` means that both
+    are proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -182,8 +182,8 @@ class LinearModel:
 
     Raises
     ------
-    UsageError : shapes that do not fit, numbers that are not finite, ports that are not those of
-        B and C, letters missing.
+    UsageError : shapes do not fit, numbers are not finite, ports do not match B and C, or matrices
+    are missing.
     """
 
     B: np.ndarray
@@ -372,7 +372,7 @@ class LinearModel:
 
         The work is dense, for models of up to a few thousand unknowns.
 
-        Structural damping has none and is left out.
+        Structural damping has no such form and is left out.
         """
         return self.pencil.poles()
 
@@ -418,7 +418,7 @@ class LinearModel:
 
         Raises
         ------
-        UsageError : no such port.
+        UsageError : the port does not exist.
         """
         known = [p.name for p in self.ports]
         for name in names:
@@ -492,7 +492,8 @@ def with_potentials(
     k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e) in the order of the electrical ports; one
         electrode may leave the second dimension out.
     ports : all ports in any order.
-    others : of :class:`LinearModel`; its ``rayleigh`` is that of the condensed K, none by default.
+    others : arguments of :class:`LinearModel`; ``rayleigh`` refers to the condensed K, none by
+    default.
 
     Raises
     ------
@@ -531,7 +532,7 @@ def with_potentials(
 def make_linear_model(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
     """Return the linear model with the matrices of a pencil.
 
-    ``labels`` are its other fields.
+    ``labels`` are the other fields of the model.
     """
     parts = pencil.coefficients
     matrices = {"A": negate(parts[0]), "E": parts[1]}

@@ -5,7 +5,7 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
 
     d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
 
-comes near to it: a spring, a dashpot, springs in series with dampers, and a mass. A dashpot
+approximates it by a spring, a dashpot, springs in series with dampers, and a mass. A dashpot
 ``v = h / w_j`` alone is exact at the resonance ``w_j``; its loss grows with frequency, so that the
 flanks of the resonance differ by a quarter of the loss factor ``eta = h / k``, relative to the
 peak. With one relaxation of rate ``w_j`` the loss is flat there, and a little more mass cancels the
@@ -13,9 +13,9 @@ growth of stiffness that causality demands: value and slope of the dynamic stiff
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
-and what differs is of the order of ``eta^2``. Coefficients are non-negative least squares with
-weights of Lawson's minimax fit. A response far below all resonances keeps a difference of the order
-of ``eta``: no real model has a complex response at rest.
+and the remaining difference is of the order of ``eta^2``. Coefficients are non-negative least
+squares with weights of Lawson's minimax fit. A response far below all resonances keeps a
+difference of the order of ``eta``: no real model has a complex response at rest.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
 
-# Powers of a parameter in the terms: the first ones that represent the matrices are taken. A range
-# that begins at zero has no reciprocal.
+# Powers of a parameter in the terms: the first powers that represent the matrices are used. A
+# range that begins at zero has no reciprocal.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
 PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of powers
 CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
@@ -79,8 +79,8 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
     Raises
     ------
-    UsageError : a parameter whose matrices are no such sum, or that changes B or the number of
-        unknowns.
+    UsageError : the matrices of a parameter are not such a sum, or the parameter changes B or the
+    number of unknowns.
     """
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
 
@@ -145,7 +145,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Remove entries of terms that are rounding beside the other terms."""
+    """Remove entries of terms that are rounding errors relative to the other terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):

@@ -5,30 +5,30 @@ from the resonators.
 
 Residual modes without inertia
     A reduced model keeps the compliance of its ports exact by some stiff modes far above its band.
-    They are none of the body's, yet behind the spring of a contact their inertia is a lump of mass
-    that rattles. Component mode synthesis with a massless boundary leaves it out and keeps their
+    The body does not have these modes. Behind the spring of a contact, their inertia is a mass
+    that rattles. Component mode synthesis with a massless boundary omits the inertia and keeps
     compliance and damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
 A constant loss tangent of the dielectric
-    What loses the same share of its energy at every frequency has, by causality, the permittivity
-    of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
+    A dielectric that loses the same share of its energy at every frequency has, by causality, the
+    permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
 
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
     the frequency at which data sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
     sum_k a_k / (1 + s t_k)``, all ``a_k >= 0``, of a capacitor and series R C, passive by its form,
     whose amplitudes are non-negative least squares over the band. This factor multiplies the
-    clamped capacitances D. Data sheets state the tangent at 1 kHz of the free part, whose
+    clamped capacitances D. Data sheets state the tangent of the free part at 1 kHz. Its
     capacitance is ``D + C_m`` with the motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2``,
-    which has no loss so far below the resonances. With ``tan delta`` of the free part the clamped
+    which has no loss far below the resonances. With ``tan delta`` of the free part the clamped
     angle theta follows from
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
-    What the loss changes of the stiffness by fields inside of the body is neglected, tan delta
-    times the share of the electric energy at constant charge in a mode.
+    The effect of the loss on the stiffness by internal fields is neglected. It is tan delta times
+    the share of the electric energy at constant charge in a mode.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Resonators(EqualByContent):
         return (np.arange(self.order) < self.order - self.massless).astype(float)
 
     def linear(self) -> LinearModel:
-        """The same model as matrices; :func:`resonators` takes it back to the bit."""
+        """The same model as matrices; :func:`resonators` inverts this conversion exactly."""
         return LinearModel(
             M=np.diag(self.inertia),
             E=np.diag(self.damp),
@@ -151,12 +151,13 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 
     The coupling of an electrical port is the effective factor ``k = sqrt(C_j / (C_j + C_above))``.
     The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and ``C_above`` is
-    that of all higher modes and of the clamped body. For a mode far from others, ``k^2 = 1 - (f_r /
-    f_a)^2``. The coupling of any other port is the static share ``gain_j^2 / omega_j^2``.
+    the capacitance of all higher modes and of the clamped body. For a mode far from others, ``k^2
+    = 1 - (f_r / f_a)^2``. The coupling of any other port is the static share ``gain_j^2 /
+    omega_j^2``.
 
-    Modes that damping couples are those of the poles, and ``omega_j`` is their distance from zero.
-    Motions without stiffness are left out. The result is None for a model of first order, and for a
-    model with signals as ports.
+    If damping couples modes, the modes belong to the poles, and ``omega_j`` is the magnitude of a
+    pole. Motions without stiffness are left out. The result is None for a model of first order,
+    and for a model with signals as ports.
     """
     result = _modal_data(model)
     if result is None:
@@ -232,7 +233,7 @@ MASSLESS_ERROR = 1e-3
 # The same limit if the lowest omitted mode rings, with a damping ratio below MAX_RINGING_RATIO.
 # Such modes depend on the mesh, ring for hundreds of periods, and determine the time steps after a
 # lightly damped kick. Without them, launches of a chip with 0.01 % damping change by 1.2e-3, a
-# quarter of their difference to a finer model and towards it; the number of time points is a third.
+# quarter of their difference to a finer model and towards it, with a third of the time points.
 RINGING_ERROR, MAX_RINGING_RATIO = 1e-2, 0.02
 # frequency of a massless mode, relative to the end of the band; lower modes do not respond
 # instantaneously
@@ -461,7 +462,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
 
     Raises
     ------
-    UsageError : a clamped body of less than that capacitance cannot lose as much.
+    UsageError : the clamped capacitance is too small for this loss.
 
     Examples
     --------
@@ -510,13 +511,13 @@ def fit_foster_network(
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     """Add a loss tangent of the free body at 1 kHz to a model.
 
-    It is constant in the band of the certificate, whose error includes that of the sum. The
+    It is constant in the band of the certificate, whose error includes the error of the sum. The
     motional and the clamped capacitance of several electrodes are the sums over all of them, each
     with the others shorted.
 
     Raises
     ------
-    UsageError : it has no electrodes, or a clamped capacitance too small for the loss.
+    UsageError : the model has no electrodes, or its clamped capacitance is too small for the loss.
     """
     known = model.certificate
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]

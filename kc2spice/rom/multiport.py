@@ -2,11 +2,11 @@
 
 Scattering parameters S of a reference resistance R are fitted by common poles: a few steps of
 vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does
-it) and nonlinear least squares from there, whose minimum does not depend on rounding. More poles
-follow until what is left is the noise of the data. The nearest passive model of the same poles
-follows by the bounded real lemma; the Hamiltonian of the state space, which knows all frequencies,
-judges it (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals Systems 2 (1989) 207). With
-``b = S a``, ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
+it) and nonlinear least squares from there, whose minimum does not depend on rounding. Poles are
+added until the remaining deviation is the noise of the data. The nearest passive model of the same
+poles follows by the bounded real lemma; the Hamiltonian of the state space, which covers all
+frequencies, checks it (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals Systems 2
+(1989) 207). With ``b = S a``, ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
 
     x' = A x + B a            v / r = C x + (1 + D) a
     b  = C x + D a            i = (2 a - v / r) / r
@@ -71,7 +71,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     Raises
     ------
     MissingToolError : scikit-rf is not installed.
-    UsageError : no such state space comes near the data, or none that is passive.
+    UsageError : no state space, or no passive state space, fits the data.
     """
     ports = Y.shape[1]
     diagonal = np.abs(Y[:, range(ports), range(ports)])
@@ -98,7 +98,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 
 
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
-    """Best passive fit of those with few to many poles.
+    """Best passive fit over a range of pole numbers.
 
     The selected fit has the least deviation, or is the first whose deviation equals that of the
     fits before passivity was enforced.
@@ -132,7 +132,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 def _generate_fits(
     f: np.ndarray, S: np.ndarray, noise: float, where: str
 ) -> list[tuple[float, ABCD]]:
-    """Fits with more and more poles, with their deviations, the least first."""
+    """Fits with increasing numbers of poles, with their deviations, the least first."""
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
@@ -169,7 +169,7 @@ def _generate_fits(
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     """Find the nearest passive state space with the same poles.
 
-    The result is None if there is none.
+    The result is None without such a fit.
 
     Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
     in a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
@@ -275,9 +275,9 @@ def refine_poles(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Refine stable poles near ``poles`` [rad/s] by nonlinear least squares.
 
-    The poles are those in the upper half plane and real ones. The sum is ``D + sum_k R_k / (s -
-    p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are results, too. Poles
-    are at most ``highest`` times the band's end.
+    The poles are the real poles and the poles in the upper half plane. The sum is ``D + sum_k R_k
+    / (s - p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are results, too.
+    Poles are at most ``highest`` times the band's end.
 
     Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and
     Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops when it makes no progress; the

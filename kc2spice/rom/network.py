@@ -5,9 +5,9 @@ beside a capacitance ``C0``, a voltage u and the charge y of the port::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-is a linear model with diagonal matrices and a column B of ones, and is recognised by these. The
-resistance R and the inductance L of leads carry the current of all branches. Then ``C0`` is a
-branch too, and each matrix of R and of L has one value more in all entries::
+is a linear model with diagonal matrices and a column B of ones, and is recognised by this form.
+The resistance R and the inductance L of leads carry the current of all branches. Then ``C0`` is
+also a branch, and the lead adds one value to all entries of the matrices of R and L::
 
     L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
@@ -70,7 +70,7 @@ class ParallelBranches:
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        :func:`parallel_branches` restores the network, to the bit without a lead.
+        :func:`parallel_branches` restores the network, exactly if there is no lead.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:

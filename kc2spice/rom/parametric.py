@@ -4,8 +4,8 @@ One basis V spans the modes and the static responses of full models at samples o
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of
 Chebyshev polynomials of their logarithms, exact at the samples. The projection keeps definiteness.
 The method tracks no single mode, so modes may cross or repel each other inside the parameter
-ranges. The mesh has to move with the parameters and keep its topology. Parameters that scale the
-damping alone are exact and take no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
+ranges. The mesh has to move with the parameters and keep its topology. Parameters that only scale
+the damping are exact and need no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
 (2015) 483, section 4: a global basis.)
 """
 
@@ -87,7 +87,7 @@ class ParameterAxis:
         return low * float((high / low) ** (0.5 * (x + 1))) - self.shift
 
     def coordinate(self, value: float) -> float:
-        """The coordinate of a value; nan of one of the other sign."""
+        """The coordinate of a value; nan for a value of the other sign."""
         low, high = self.low + self.shift, self.high + self.shift
         if not (value + self.shift) / low > 0:
             return float("nan")
@@ -135,7 +135,7 @@ class ParameterPolynomials:
 
     @property
     def box(self) -> dict[str, ParameterAxis]:
-        """Every parameter's axis by its name."""
+        """Axis of each parameter by its name."""
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def products(self, values: Values) -> np.ndarray:
@@ -201,8 +201,8 @@ def reduce_over_parameters(
 
     Raises
     ------
-    UsageError : a model that is not symmetric, of second order and with collocated ports, or whose
-        number of unknowns changes within the box.
+    UsageError : the model is not symmetric, not of second order or has no collocated ports, or the
+    number of unknowns changes within the parameter ranges.
     """
     cached_model = cache(lambda key: full(dict(key)))
 
@@ -354,7 +354,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> Loss | None:
-    """The parameter as one of damping alone; None of any other."""
+    """The parameter as a factor of only the damping; None of any other."""
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)

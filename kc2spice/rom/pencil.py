@@ -50,7 +50,7 @@ class SharedValue(Generic[T]):
         return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
-        """Share the value of ``other`` from now on."""
+        """Share the value of ``other``."""
         self._values = other._values
 
 
@@ -105,8 +105,8 @@ class Schur:
     def is_proven_definite(self, factor: Factor | None) -> bool:
         """Whether a ``factor`` of all four blocks proves that the complement is positive definite.
 
-        The inertia of all blocks is the sum of those of ``pp`` and of the complement (Haynsworth
-        1968). All negative eigenvalues must be those of ``pp``.
+        The inertia of all blocks is the sum of the inertias of ``pp`` and of the complement
+        (Haynsworth 1968). All negative eigenvalues must be those of ``pp``.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative
@@ -156,7 +156,7 @@ def scale_matrix(
 
 
 def to_dense(matrix: Matrix) -> np.ndarray:
-    """Any matrix as an array."""
+    """Convert any matrix to an array."""
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
 
 
@@ -195,7 +195,7 @@ def is_symmetric(matrix: Matrix) -> bool:
 def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     """``V'PV``, its symmetric and skew parts each from that part of P alone.
 
-    That P is symmetric may be ``known``: its parts take longer than the product.
+    The symmetry of P may be ``known``: its parts take longer than the product.
     """
     if known or isinstance(P, Schur):
         R = V.T @ (P @ V)
@@ -223,7 +223,7 @@ class Pencil:
     Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
     :class:`Schur` complement. ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K``.
     ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are motions
-    that nothing holds at rest; see :mod:`kc2spice.rom.rigid_body`.
+    without stiffness; see :mod:`kc2spice.rom.rigid_body`.
     """
 
     coefficients: tuple[Matrix, ...]
@@ -302,7 +302,7 @@ class Pencil:
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
     def at(self, s: complex) -> Matrix:
-        """``P(s)`` with eliminated unknowns kept as rows, real wherever it can be."""
+        """``P(s)`` with eliminated unknowns as rows, real if possible."""
         powers = [s**k for k in range(3)]
         if self.undamped and complex(powers[2]).imag == 0:
             return self.bordered(1.0, 0.0, complex(powers[2]).real)
@@ -374,7 +374,7 @@ class Pencil:
 
     @property
     def elimination_order(self) -> np.ndarray | None:
-        """Order of elimination of the factor of K, None if there is none.
+        """Order of elimination of the factor of K, None without a factor.
 
         The order also suits other matrices of the same unknowns.
         """
@@ -388,7 +388,7 @@ class Pencil:
         return self.factors.known is not None
 
     def share(self, other: Pencil) -> None:
-        """Let ``other``, which has the same K, use the factors of this one."""
+        """Let ``other``, which has the same K, use the factors of this pencil."""
         other.factors.join(self.factors)
 
     def project(self, V: np.ndarray) -> Pencil:
@@ -437,7 +437,7 @@ class Pencil:
 
     @property
     def has_uncoupled_motion(self) -> bool:
-        """Whether there are rigid-body modes that nothing couples to the other unknowns."""
+        """Whether there are rigid-body modes that are not coupled to the other unknowns."""
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 

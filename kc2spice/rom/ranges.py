@@ -53,7 +53,7 @@ class ModelOverRanges(ABC):
     @property
     @abstractmethod
     def box(self) -> dict[str, ParameterAxis]:
-        """Every parameter's axis by its name."""
+        """Axis of each parameter by its name."""
 
     @abstractmethod
     def at(self, values: Values) -> LinearModel:
@@ -88,7 +88,8 @@ def certify_over_ranges(
     return Certificate(
         band_hz=task.band,
         error_estimate=error,
-        method=f"over the box: difference to {checks} full models that nothing was made from",
+        method=f"over the parameter ranges: difference to {checks} full models that were not used "
+        "for the reduction",
         stable=proof.stable,
         passive=proof.passive and passive,
         norm=task.norm,

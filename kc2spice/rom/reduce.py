@@ -68,16 +68,16 @@ def reduce_model(
     method: str | Reductor | None = None,
     solver: DirectSolver | str | None = None,
 ) -> LinearModel:
-    """Return the smallest model found within ``tolerance``, or the one of ``order``.
+    """Return the smallest model within ``tolerance``, or the model of ``order``.
 
     The result has the ports of ``fom``, the full-order model. Its certificate states the error over
     ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
 
     * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
       Arnoldi at s0 = 0.
-    * Models whose ports are signals are also reduced by balanced truncation, to first order. That
-      result is used if it has fewer states and no passive resonators are lost.
-    * Structural damping becomes viscous damping of each mode, or relaxations if these are much more
+    * Models whose ports are signals are also reduced by balanced truncation, to first order. This
+    result is used if it has fewer states and no passive resonators are lost. * Structural damping
+    becomes viscous damping of each mode, or relaxations if these are much more
       accurate. The error estimate includes the difference. The function warns if the difference
       exceeds the tolerance.
     * A symmetric model with only real poles loses its inertia if that saves states and changes
@@ -94,8 +94,8 @@ def reduce_model(
     order : int, optional
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats, optional
-        Lowest and highest frequency in Hz. By default it is the band of the model, otherwise it
-        ends a little above the fifth natural frequency.
+        Lowest and highest frequency in Hz. The default is the band of the model. Without one, the
+        band ends a little above the fifth natural frequency.
     norm : "pointwise" or "peak", default "pointwise"
         Reference of the relative error: the value at the same frequency, or the entry's largest
         value in the band.
@@ -115,9 +115,9 @@ def reduce_model(
 
     Raises
     ------
-    UsageError : not one of tolerance and order, an empty band, an unknown norm, a tolerance below
-        rounding, an order above that of the response, a model too large for this machine, a model
-        whose output contains derivatives of its input.
+    UsageError : not exactly one of tolerance and order, an empty band, an unknown norm, a
+        tolerance below rounding, an order above that of the response, a model too large for this
+        machine, a model whose output contains derivatives of its input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
@@ -188,7 +188,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
 def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the prescribed band [Hz], that of the model, or the default, in this order."""
+    """Return the prescribed band [Hz], otherwise the band of the model, otherwise the default."""
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("no input acts on the model, or no output depends on it", where=fom.name)
     band = band or fom.band or natural_band(pencil)
@@ -209,9 +209,10 @@ def verified_first_step(
 ) -> tuple[IntermediateModel, StabilityProof]:
     """The intermediate model, and stability and passivity of the full-order model.
 
-    Without ``exact`` the error of the intermediate model may be any: a later target decides.
+    Without ``exact``, any error of the intermediate model is accepted, because a later target
+    decides.
     """
-    # A stiffness that turns out not to be definite is checked again.
+    # A stiffness that is found to be indefinite is checked again.
     require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
@@ -284,7 +285,8 @@ def find_basis_within(
 
 
 def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
-    """The part of a tolerance that rounding leaves, or all of it if that part is too small."""
+    """The tolerance minus the rounding error, or the whole tolerance if the difference is too
+    small."""
     remaining = tolerance - intermediate.floor
     attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
     enough = remaining > min(MAX_INTERMEDIATE_SHARE * tolerance, attainable)
@@ -344,7 +346,7 @@ def _make_congruence(
 
 
 def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
-    """A causal, passive model next to one with structural damping."""
+    """A causal, passive approximation of a model with structural damping."""
     if target.tolerance is None:
         raise UsageError(
             "a model with structural damping cannot be reduced to an order",

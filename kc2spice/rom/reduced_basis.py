@@ -106,7 +106,7 @@ class Task:
     def share(self, name: str, compute: Callable[[], T]) -> T:
         """Return a value by its name, which ``compute`` returns at its first use.
 
-        Tasks of the same model that differ in the tolerance only share the value.
+        Tasks of the same model that differ only in the tolerance share the value.
         """
         if name not in self.shared:
             self.shared[name] = compute()
@@ -193,7 +193,7 @@ class Task:
     def displacements(self) -> np.ndarray | None:
         """Unknowns of the intermediate model per state of :meth:`from_first_order`.
 
-        The value is None if they depend on the input as well.
+        The value is None if they also depend on the input.
         """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
         parts = [pencil.leading(free), self.core] if free else [self.core]
@@ -235,8 +235,8 @@ class ReducedBasis:
     The reduced-order model of order q is the leading part of the ``pencil``. Every model contains
     the first ``fixed`` coordinates: rigid-body modes, and static responses of conservative ports. A
     ``congruence`` preserves the form of the matrices. ``origin`` begins the text of the
-    certificate. The ``vectors`` are columns in the ``coordinates`` of a model; None if they are not
-    known.
+    certificate. The ``vectors`` are columns in the ``coordinates`` of a model; None if the values
+    are unknown.
     """
 
     task: Task
@@ -278,7 +278,8 @@ class ReducedBasis:
     def unknowns(self, order: int) -> np.ndarray | None:
         """Return full-order unknowns per state of the model of this order.
 
-        The result (n, order) is None if they are not known, or not unknowns of the given model.
+        The result (n, order) is None if the vectors are unknown, or are not unknowns of the
+        full-order model.
         """
         task, V = self.task, self.vectors
         if V is None or task.pencil.size != task.fom.order:
@@ -296,7 +297,7 @@ class ReducedBasis:
     def error(self, order: int, limit: float = np.inf) -> float:
         """Estimate the largest relative error of any transfer function in the band.
 
-        Above ``limit`` the result may be any error that exceeds it.
+        Above ``limit`` the result may be any error above ``limit``.
         """
         exact = self.task.intermediate.error
         difference = self.task.estimator.error(self.leading(order), (limit - exact) / SAFETY_FACTOR)
@@ -318,7 +319,7 @@ class ReducedBasis:
 
         The model must be stable if the intermediate model is stable.
 
-        Only a congruence may have a stability that is not known.
+        Only for a congruence, the stability may be unknown.
         """
         if not self.error(order, tolerance) <= tolerance:
             return False

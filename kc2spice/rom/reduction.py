@@ -1,7 +1,7 @@
 """Public functions for the reduction of models.
 
 :func:`reduce` makes one reduced-order model. :class:`Reduction` makes several of one full-order
-model, which share the work on it.
+model, which share factorisations and solutions.
 """
 
 from __future__ import annotations
@@ -98,12 +98,13 @@ def reduce(
         Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
         parameters within a ``tolerance``; ``order``, ``contact`` and ``method`` do not apply.
     tolerance : float, optional
-        Largest relative error over the band. The result is the smallest model found within it.
+        Largest relative error over the band. The result is the smallest model within the
+        tolerance.
     order : int, optional
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
-        band of the model, otherwise it ends a little above the fifth natural frequency.
+        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. The default is the
+        band of the model. Without one, the band ends a little above the fifth natural frequency.
     norm : "pointwise" or "peak", optional
         Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
         entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
@@ -134,7 +135,7 @@ def reduce(
 
     Raises
     ------
-    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
+    UsageError : not exactly one of ``tolerance`` and ``order``, or a value out of range; an
         unknown norm or method; a method that does not apply; ``parameters`` that are not empty; a
         ``solver`` that does not solve.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
@@ -222,7 +223,7 @@ class Reduction:
     """Basis of a full-order model over a band for many reduced-order models.
 
     Factorisations and solutions of the full-order model are made once, for ``tolerance``, the
-    smallest one that is needed. A smaller tolerance of :meth:`reduce` extends the basis once more.
+    smallest required tolerance. A smaller tolerance of :meth:`reduce` extends the basis once more.
 
     Parameters
     ----------
@@ -313,7 +314,7 @@ class Reduction:
     def points(self) -> tuple[float, ...]:
         """Expansion points [Hz] of the basis, in the order of their use.
 
-        There are none for a model that is small enough to be used without reduction.
+        The tuple is empty for a model that is small enough to be used without reduction.
         """
         return self._intermediate.points
 
@@ -327,7 +328,7 @@ class Reduction:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the full-order model is stable, None if that was not shown."""
+        """Whether the full-order model is stable, None without a proof."""
         return self._proof.stable
 
     @property
@@ -357,7 +358,7 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest model within a tolerance, or the best one of an order.
+        """Return the smallest model within a tolerance, or the best model of an order.
 
         Parameters
         ----------
@@ -400,7 +401,7 @@ class Reduction:
     def peak_error(self, rom: LinearModel) -> float:
         """Return the error estimate of a reduced model relative to the peaks of its entries.
 
-        A model that misses a notch has a large error in the pointwise norm and a small one here.
+        A model that misses a notch has a large error in the pointwise norm and a small error here.
         """
         estimator = self._intermediate.estimator(self.band, "peak")
         difference = estimator.error(Response(rom.pencil.dense()))

@@ -48,12 +48,12 @@ def fit_minimax(
         Reference values of relative errors.
     enough : float
         Error at which the fit ends; it also ends if errors are far above this value after some
-        rounds.
+        iterations.
 
     Returns
     -------
     rates, gains, error
-        The best of all rounds, and its largest relative error.
+        Best result of all iterations, and its largest relative error.
 
     Examples
     --------

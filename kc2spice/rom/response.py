@@ -84,9 +84,7 @@ class Response:
 
     @property
     def diagonal(self) -> bool:
-        """Whether decoupled coordinates exist, or the number of unknowns is so small that none are
-        needed.
-        """
+        """Whether decoupled coordinates exist, or few unknowns make them unnecessary."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -274,7 +272,7 @@ def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
 
 
 def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """Which frequencies [Hz] are inside the band, and not zero but for rounding."""
+    """Mask of frequencies [Hz] that are inside the band, and not zero within rounding."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
@@ -328,7 +326,7 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
 def sample_resonances(
     frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = RESONANCE_OFFSETS
 ) -> np.ndarray:
-    """Frequencies [Hz] on and beside resonances, at multiples of their half width."""
+    """Frequencies [Hz] at resonances, and next to them at multiples of their half width."""
     sharp = ratio < MIN_DAMPING_RATIO
     width = np.where(sharp, FLANK_DISTANCE, ratio)[:, None] * frequency[:, None]
     both = np.concatenate([-widths[::-1], widths])

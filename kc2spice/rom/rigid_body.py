@@ -63,10 +63,10 @@ def split_rigid_body(
 
     The result is the pencil itself if no motion is free.
 
-    Where ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is kept:
+    If ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is preserved:
     ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both groups of
-    coordinates. All other models are turned to first order and split at their poles near zero (of
-    ``omega``), by both invariant subspaces. ``rounding`` is known of projections.
+    coordinates. All other models are converted to first order and split at their poles near zero
+    (relative to ``omega``), by both invariant subspaces. ``rounding`` is known of projections.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -124,7 +124,7 @@ def _bound_rounding(pencil: Pencil) -> Rounding:
 def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     """Compute orthonormal columns that K maps to zero within ``rounding``.
 
-    The rounding is that of each entry, so that stiff entries do not hide soft ones.
+    The rounding is evaluated for each entry, so that stiff entries do not hide soft entries.
     """
     rows = rounding.max(axis=1)
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
@@ -206,14 +206,15 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
-    """Whether ``P X`` is zero but for the ``rounding`` of P's entries, and X's own."""
+    """Whether ``P X`` is zero within the ``rounding`` of the entries of P and X."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
 def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     """Free motions of X that an input moves.
 
-    All are returned if inputs and outputs are not collocated, or if damping couples the motions.
+    All modes are returned if inputs and outputs are not collocated, or if damping couples the
+    motions.
     """
     *between, inertia = pencil.coefficients
     slowed = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
@@ -252,7 +253,7 @@ def project_with_rigid_body(
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
     """Project obliquely on invariant subspaces, poles near zero first.
 
-    The subspaces are the right and the left one. The coordinates in front show chains of
+    The subspaces are the right and the left subspace. The coordinates in front show chains of
     integrators.
     """
     rest, inertia = pencil.coefficients
@@ -301,7 +302,8 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotate A to ``Q'AQ``, block triangular with exact zeros.
 
-    The first coordinates do not move. The next ones move the first at a constant rate, and so on.
+    The first coordinates do not move. The next vectors move the first vectors at a constant rate,
+    and so on.
     """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):

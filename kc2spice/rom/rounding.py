@@ -46,8 +46,8 @@ def rounding_uncertainty(
 
     The model is dense. The result is that at each ``frequency`` [Hz].
 
-    ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be given if they are more
-    accurate than solutions in this function. Entries that are ``zero`` by symmetry count against
+    ``states`` x (frequencies, n, inputs), and states of the ``dual``, replace the solutions of
+    this function if they are more accurate. Entries that are ``zero`` by symmetry count against
     their row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
@@ -111,7 +111,7 @@ def zero_entries(
 
 
 def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Return a text on how much rounding of the given matrices changes the response.
+    """Return a text about the effect of rounding of the matrices on the response.
 
     The certificate contains this text. ``size`` is the relative change at the frequencies ``at``
     [Hz]. The text is empty for a negligible change. A change above ``tolerance`` is also printed as

@@ -23,10 +23,10 @@ SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the least acceptable order of fewer than so many first-order ``states``.
+    """Return the least acceptable order with fewer than ``states`` first-order states.
 
-    The result is None if there is none. Orders are tried upwards, because the error is not
-    monotonic in the order and models of low order are cheap.
+    The result is None without an acceptable order. Orders are tried upwards, because the error is
+    not monotonic in the order and models of low order are cheap.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -38,7 +38,7 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
 
     Raises
     ------
-    UsageError : no basis has so many vectors.
+    UsageError : no basis has enough vectors.
     """
     most = max(basis.size for basis in bases)
     if order > most:
@@ -113,10 +113,10 @@ def _prove_stability(task: Task) -> StabilityProof | None:
 def _select_fewest(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Basis and order of fewer than so many states, None if no reductor has one.
+    """Basis and order with fewer states, None if no reductor provides them.
 
-    In the peak norm it is the best of all. In the pointwise norm it is the first one, because only
-    balancing over the band represents notches.
+    In the peak norm it is the best of all. In the pointwise norm, the first basis is used, because
+    only balancing over the band represents notches.
     """
     best = None
     for reductor in reductors:
@@ -135,7 +135,7 @@ def _select_congruence(
 ) -> tuple[Reductor, ReducedBasis, int | None]:
     """Select the reductor of the least order, its basis and the order.
 
-    The order is None if none is acceptable and the result is ``optional``.
+    The order is None if no order is acceptable and the result is ``optional``.
     """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]

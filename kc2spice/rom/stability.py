@@ -56,8 +56,8 @@ def prove_stability(
     are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
     velocity, voltage and current. First order with E symmetric positive semi-definite and
     ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
-    on stability, and passivity is not claimed; of more than ``MAX_POLE_STATES`` states they are not
-    known. ``poles`` [1/s] spare their computation.
+    on stability, and passivity is not claimed; the poles of models with more than
+    ``MAX_POLE_STATES`` states are not known. ``poles`` [1/s] spare their computation.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -91,7 +91,7 @@ def prove_stability(
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     """Compute all poles; the poles of a rigid-body motion are computed separately.
 
-    Rounding changes the pair of poles of a rigid body by half of the digits.
+    The pole pair of a rigid body is accurate to only half of the digits.
     """
     result = pencil if pencil.free else split_rigid_body(pencil.scaled(omega).dense(), omega).pencil
     if not result.has_uncoupled_motion:
@@ -113,7 +113,7 @@ def is_dissipative(pencil: Pencil) -> bool:
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
-    # a factor of K that solutions were made with shows it as well
+    # an existing factor of K also proves it
     if isinstance(rest, Schur):
         definite = rest.is_proven_definite(pencil.factors.known) and pencil.symmetric
     else:

@@ -22,11 +22,12 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     If the model has an energy, the states are energy coordinates, so ``A + A' <= 0`` for a
     dissipative model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A
     decoupled second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``,
-    the end of the band; without one by the ratio of stiffness to mass.
+    the end of the band, or by the ratio of stiffness to mass.
 
     Raises
     ------
-    UsageError : the model answers to derivatives of its input, or its massless part is singular.
+    UsageError : the response depends on derivatives of the input, or the massless part is
+    singular.
     """
     pencil = pencil.dense()
     if pencil.degree == 1:
@@ -85,9 +86,10 @@ def _modal_states(pencil: Pencil, omega: float) -> ABCD:
 
 
 def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """``T'MT = 1``; for a symmetric K also its eigenvalues, which T then diagonalises.
+    """``T'MT = 1``; for a symmetric K, T diagonalises K, and the eigenvalues are also returned.
 
-    A definite K takes the part of the better conditioned matrix, so that low modes are exact.
+    If K is definite, it takes the role of the better conditioned matrix, so that low modes are
+    exact.
     """
     if largest_entry(K - K.T) > COUPLING * largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None

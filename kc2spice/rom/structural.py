@@ -1,11 +1,11 @@
 """Reduction of models with structural damping, and removal of masses without effect.
 
 Structural damping ``K + j H``, of one material ``K (1 + j eta)``, loses the same share of energy at
-every frequency. In a band no causal model does that without a change of stiffness. A circuit is
-therefore a passive model close to it. Each mode gets the viscous damping ``h_j / w_j``, which is
-exact at its resonance, and relaxations if these are closer (:mod:`kc2spice.rom.lossy_modes`). The
-difference is part of the error estimate. The losses of several materials couple modes; that part is
-viscous damping ``h_ij / (w_i w_j)^(1/2)``.
+every frequency. Within a band, no causal model has this property without a change of stiffness. A
+circuit is therefore a passive model close to it. Each mode gets the viscous damping ``h_j / w_j``,
+which is exact at its resonance, and relaxations if these are closer
+(:mod:`kc2spice.rom.lossy_modes`). The difference is part of the error estimate. The losses of
+several materials couple modes; that part is viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
 An RC ladder or an overdamped chain has real poles only. If its inertia changes nothing in the band,
 ``E x' + K x = B u`` has half of the states per unknown, and is passive as well.
@@ -51,7 +51,8 @@ RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(
     9.0, 4.0, -1.0
 )  # lowest frequencies over the end of a band from zero: the loss remains at rest
-MAX_ERROR_RATIO = 0.5  # error with relaxations, relative to the error without, that justifies them
+# largest error with relaxations, relative to the error without them, that justifies relaxations
+MAX_ERROR_RATIO = 0.5
 UNCHANGED_SHARE = 0.1  # share of the error limit below which modes are not changed
 REAL_POLE_TOLERANCE = 1e-6  # relative imaginary part of a real pole
 ZERO_DAMPING = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
@@ -73,7 +74,7 @@ def approximate_causally(
 
     Raises
     ------
-    UsageError : a model of first order, or without a definite mass matrix.
+    UsageError : the model is of first order, or its mass matrix is not definite.
     """
     search = _Search(model, reduced, band, norm)
     error = search.reduce(VISCOUS_SHARE * tolerance)
@@ -174,7 +175,7 @@ class _Search:
 
     @cached_property
     def dashpot_modes(self) -> list[Oscillator]:
-        """Modes with one dashpot each; rigid-body modes have none."""
+        """Modes with one dashpot each; rigid-body modes have no dashpot."""
         share = self._decoupled
         return [
             viscous_oscillator(k, share * h)
@@ -185,7 +186,8 @@ class _Search:
 
     @cached_property
     def _decoupled(self) -> float:
-        """Share of every mode's own loss without which the rest is still a loss."""
+        """Largest share of the loss of all modes that can be subtracted without a negative
+        loss."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -295,7 +297,7 @@ NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates
 def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
     """Replace structural damping H by viscous damping ``beta H``.
 
-    The results are the model, and the shares of M and K in its other damping.
+    The results are the model, and the factors of M and K in its viscous damping.
     """
     if model.first_order:
         raise UsageError("structural damping applies only to second-order models", where=model.name)
@@ -385,7 +387,7 @@ def first_order_model(
 
 
 def _is_singular(E: np.ndarray) -> bool:
-    """Whether a semidefinite matrix is not definite: an unknown without damping."""
+    """Whether a semidefinite matrix is singular: an unknown has no damping."""
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= ZERO_DAMPING * diagonal.max(initial=0.0):
         return True

@@ -1,8 +1,8 @@
 """Passive models of a constant loss factor by a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
-model has exactly that: by the relation of Kramers and Kronig a constant loss factor makes the
-stiffness grow with frequency (A. K. Jonscher, Nature 267 (1977) 673),
+model has exactly this property: by the relation of Kramers and Kronig a constant loss factor makes
+the stiffness grow with frequency (A. K. Jonscher, Nature 267 (1977) 673),
 
     chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi,
 
@@ -52,8 +52,7 @@ class RelaxingStiffness(EqualByContent):
         ``c_0 >= 0``, the factor at rest.
     amplitudes, rates : (k,) arrays
         ``c_k > 0`` and ``r_k > 0`` [1/s].
-    error : float
-        Largest relative difference to the factor that it was fitted to, in the band.
+    error : float Largest relative difference to the fitted factor in the band.
     """
 
     constant: float
@@ -116,11 +115,11 @@ def relaxing_stiffness(
     error : float
         Largest product of relative difference and ``sensitivity`` in the band.
     sensitivity : callable, optional
-        Relative change of the response by that of the stiffness (n,) at frequencies (n,) [Hz], such
-        as the Q factor at a resonance; 1 by default.
+        Relative change of the response per relative change of the stiffness (n,) at frequencies
+        (n,) [Hz], such as the Q factor at a resonance; 1 by default.
     noncausal : bool
-        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. No passive model gets
-        nearer to it than about ``eta / pi log(f2 / f1)``.
+        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. The error of passive
+        models is at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
@@ -129,7 +128,7 @@ def relaxing_stiffness(
 
     Raises
     ------
-    UsageError : a loss factor below zero, a frequency or a band that is none.
+    UsageError : the loss factor is negative, or the frequency or band is invalid.
     """
     if not (loss_factor >= 0 and at > 0 and 0 <= band[0] < band[1]):
         raise UsageError(
@@ -188,8 +187,8 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     Returns
     -------
     LinearModel
-        Symmetric, of ``(1 + k) n`` unknowns, of which n have mass. Its certificate, if any, is that
-        of ``model``: add the error of ``stiffness``, at resonances times Q.
+        Symmetric, of ``(1 + k) n`` unknowns, of which n have mass. A certificate of ``model`` is
+        not changed: add the error of ``stiffness``, multiplied by Q at resonances.
 
     Raises
     ------

@@ -18,7 +18,7 @@ CHECKED_FREQUENCIES = 10  # direct solutions that measure a surrogate
 def make_surrogate(
     model: LinearModel, band: tuple[float, float], *, blocks: int = 10
 ) -> tuple[LinearModel, float]:
-    """Make a projected model that equals the full one over ``band``.
+    """Make a projected model that equals the full model over ``band``.
 
     The other result is its largest measured error.
 

@@ -11,7 +11,7 @@ With the power P switched on or off at t = 0, the temperature is::
    deviation.
 3. Neighbours on the grid are joined. The logarithms of all R_k and t_k are refined by bounded least
    squares.
-4. The two neighbours are joined whose sum describes the samples best, and so on. The sum with the
+4. The two neighbours whose sum describes the samples best are joined, and so on. The sum with the
    least Bayesian information criterion, ``sum (residual / noise)^2 + parameters log(samples)``, is
    the result (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
@@ -33,10 +33,10 @@ SHORTEST = 1 / 3  # least time constant, relative to the first time after the st
 LONGEST = 10.0  # largest time constant, relative to the last time
 MOST_CONSTANTS = 12  # time constants of a network, two for each of six decades
 POLISH = 200  # most evaluations of a refinement
-# Ends of a refinement, relative to sum, parameters and slope. They lie so far below the noise that
+# Ends of a refinement, relative to sum, parameters and slope. They are so far below the noise that
 # rounding of the samples does not change the digits of the elements.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
-# Groups of samples in each decade. Least squares see the mean of a group, and the mean of the
+# Groups of samples in each decade. Least squares use the mean of a group, and the mean of the
 # network over the same samples. A network does not change within 5 % of the time.
 GROUPS_PER_DECADE = 50
 ROUNDING = 1e-9  # least noise, relative to the largest rise: samples of nine digits
@@ -131,7 +131,8 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 
 
 def unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Share of the resistance whose time constants have not settled at the ``last`` time [s]."""
+    """Share of the resistance with time constants that have not settled at the ``last`` time
+    [s]."""
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total
 

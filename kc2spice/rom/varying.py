@@ -77,11 +77,11 @@ class Varying(ParameterPolynomials, ModelOverRanges):
     ``E = alpha + beta L L'``.
 
     With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
-    and ``T below`` (q, q) what is below it, in blocks of the sizes ``blocks``; ``T gain`` (q,
-    ports) is g; ``capacitance`` (the logarithms of the diagonal), and ``shared`` below it, make the
-    Cholesky factor of D among electrical ports in the same way. ``exp(T rayleigh)`` (2,), with
-    zeros according to ``damped``, times the powers of ``losses``, are alpha and beta. ``facts`` are
-    polynomials too.
+    and ``T below`` (q, q) are the entries below the diagonal, in blocks of the sizes ``blocks``;
+    ``T gain`` (q, ports) is g; ``capacitance`` (the logarithms of the diagonal), and ``shared``
+    below it, make the Cholesky factor of D among electrical ports in the same way. ``exp(T
+    rayleigh)`` (2,), with zeros according to ``damped``, times the powers of ``losses``, are alpha
+    and beta. ``facts`` are polynomials too.
     """
 
     blocks: tuple[int, ...]
@@ -132,13 +132,15 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
 
     The certificate holds for all values in the ranges. Its error is the largest relative
     difference, in the norm of the task, times :data:`SAFETY_FACTOR` for points in between. The
-    error is the difference to full models at :data:`FULL_CHECKS` points and a corner that the model
-    was not made from, and to the dense model at other points. ``facts`` of the full models remain.
+    error is the difference to full models at :data:`FULL_CHECKS` points and a corner that were not
+    used for the reduction, and to the dense model at other points. ``facts`` of the full models
+    remain.
 
     Raises
     ------
     UsageError : a model that is not symmetric, of second order, damped in proportion and with
-        collocated ports; whose mesh changes its cells in the box; or that a port moves freely.
+        collocated ports; whose mesh changes its cells within the parameter ranges; or that a port
+        moves freely.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_facts(task.full)
@@ -196,7 +198,7 @@ def _certify(task: RangeTask) -> tuple[Varying, float]:
             return result, error
         if degree is None:
             problem = "the error cannot be estimated over the ranges of the parameters"
-            got = f"{error:.2g} at a point that nothing was made from"
+            got = f"{error:.2g} at a point that was not used for the reduction"
             raise make_range_error(problem, dense_model.frame.name, got, tolerance)
 
 
@@ -243,7 +245,8 @@ def make_resonators(
     Raises
     ------
     UsageError : a motion without stiffness that a port moves.
-    SimulationError : no frame is smooth enough over the box for the tolerance.
+    SimulationError : no common basis is accurate enough over the parameter ranges for the
+    tolerance.
     """
     modes = _ModesOverRanges(dense_model, band)
     points = list(_check_points(dense_model, band, norm))
@@ -380,7 +383,7 @@ class _ReducedSpace:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
-        large[: max(0, len(w) - rest.size)] = False  # no more than there are dimensions
+        large[: max(0, len(w) - rest.size)] = False  # at most the number of dimensions
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._solve_ritz, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
@@ -394,7 +397,8 @@ class _ReducedSpace:
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
-        """Squared frequencies (q,) and shapes (n, q), the rest nearest to its vectors."""
+        """Squared frequencies (q,) and shapes (n, q); shapes beyond the modes are nearest to the
+        vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
@@ -411,8 +415,8 @@ class _ReducedSpace:
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute stiffness (points, n, n) and gain (points, n, ports) of a block.
 
-        The block contains the states a to b - 1 in frames nearest to that of the middle. The result
-        is None if a frame has turned too far from it.
+        The block contains the states a to b - 1 in frames nearest to the frame at the middle. The
+        result is None if a frame differs too much from the middle frame.
         """
         if (a, b) not in self._known:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []

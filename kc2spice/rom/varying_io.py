@@ -59,7 +59,7 @@ def read_varying(path: Path | str) -> Varying:
 
     Raises
     ------
-    UsageError : damaged, or not such a model.
+    UsageError : the file is damaged, or contains another kind of model.
     """
     path = Path(path)
     try:
@@ -70,7 +70,7 @@ def read_varying(path: Path | str) -> Varying:
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:
     """Make the model from its arrays and its record, which are checked."""
-    from pydantic import TypeAdapter  # late: a run reads no such file
+    from pydantic import TypeAdapter  # imported here, because runs read no such file
 
     ports = parse_ports(record["ports"])
     axes = TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"])

@@ -38,8 +38,8 @@ class Axis:
     ``low`` and ``high`` bound the value. ``finer`` contains further keys that each finer setting
     needs. ``band`` belongs to the tolerance of a reduction: its highest frequency grows by
     ``wider`` with each finer notch. ``decades`` is the width of a grid with equally many points in
-    each decade; finer grids contain the coarser ones. ``model`` marks settings that cost no time of
-    the simulator, ``mesh`` those of meshes.
+    each decade; finer grids contain the coarser ones. ``model`` marks settings that do not change
+    the time of the simulator, and ``mesh`` settings of meshes.
     """
 
     name: str
@@ -85,7 +85,7 @@ def find_axes(build: Build) -> tuple[Axis, ...]:
 
 
 def find_finest_axes(build: Build) -> tuple[Axis, ...]:
-    """Return the settings at their finest value, whose error only a coarser run shows."""
+    """Return the settings at their finest value; only a coarser run can estimate their error."""
     return tuple(axis for axis in _list_axes(build) if not axis.at(1.0) and axis.at(-1.0))
 
 

@@ -100,7 +100,8 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with this number in any letter case; None if there is none."""
+    """Return the part with this number in any letter case; None for a part without such a
+    scene."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())

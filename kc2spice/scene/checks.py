@@ -39,8 +39,9 @@ class Check:
     ``coarse`` check fails if steps are too large; tighter tolerances may correct this. A ``wiring``
     check compares the netlist with the scene; an edited deck may differ intentionally.
     ``suggested`` contains dotted keys with values that avoid the violation, if they are known and
-    not set. A check of the ``discretisation`` compares a model with a finer one at the frequencies
-    of the run. In a transient, ``verify`` includes this check unless it solves the finer model.
+    not set. A check of the ``discretisation`` compares a model with a finer model at the
+    frequencies of the run. In a transient, ``verify`` includes this check unless it solves the
+    finer model.
 
     The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
     of a transient. ``distance`` is the distance of a motion from the limit, on either side.
@@ -145,7 +146,7 @@ class Gate:
     ``of`` is the name of a metric or of waves (a prefix ends with ``*``). ``limits`` contains the
     largest difference for each pair of solutions. ``measure`` is the measure of the difference:
 
-    * *relative*: each value by its own size (arrays: values above 1e-6 of the largest);
+    * * *relative*: each value by its size (arrays: values above 1e-6 of the largest);
     * *absolute*: in ``unit``; *travel*: by the swing of the wave;
     * *largest*: by the largest value of all waves together;
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.

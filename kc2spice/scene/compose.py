@@ -1,8 +1,8 @@
 """Nets of a scene: joins of pins, and checks of these joins.
 
-A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over other pins, are
-one net. The node is named after its first pin in the order of the scene. One allocator assigns all
-names at the top level of a deck, so that nets and cards have different names.
+A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined directly or through other pins
+form one net. The node is named after its first pin in the order of the scene. One allocator
+assigns all names at the top level of a deck, so that nets and cards have different names.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def join_parts(scene: Scene) -> Scene:
     ------
     UsageError : an unknown part or pin, pins of one part whose names differ in case only, pins of
         different kinds on one net, a required pin that is not joined, a part whose two pins are
-        one, two outputs or a loop of ideal sources on one net, displacements in different frames;
-        ``where`` is a dotted key.
+        joined to each other, two outputs or a loop of ideal sources on one net, displacements in
+        different frames; ``where`` is a dotted key.
     """
     scene = _with_nets(replace(scene, frames={}, nets={}))
     if frames := find_frames(scene):
@@ -222,8 +222,8 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins by which power enters a part in one domain.
 
-    The domain is the electrical one if the part has electrical pins, otherwise that of the first
-    pin.
+    The domain is the electrical one if the part has electrical pins, otherwise the domain of the
+    first pin.
     """
     pins = metered_pins(part, scene)
     domains = [*pins.values()]

@@ -23,7 +23,7 @@ MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
-    """Return the shaken frame of every pin whose displacement is relative to one.
+    """Return the accelerated frame of every pin whose displacement is relative to such a frame.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
 
 
 def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
-    """Return the frames of the motions of a body by pin; none without an acceleration."""
+    """Return the frames of the motions of a body by pin; empty without an acceleration."""
     directions = part.type.directions(part, scene)
     accelerations = {}
     for terminal in scene.pins(part.name):
@@ -75,7 +75,7 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
 
 
 def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
-    """Return the cosine between two unit vectors, None if one is not known."""
+    """Return the cosine between two unit vectors, None if a vector is unknown."""
     if a is None or b is None:
         return None
     return float(sum(map(mul, a, b)))
@@ -150,7 +150,7 @@ def _name_frame(frame: ShakenFrame | None) -> str:
 def _require_inertial_force(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
-    """Refuse a part whose inertia lacks the force of its frame; warn if unknown."""
+    """Reject a part whose inertia lacks the force of its frame; warn if this is unknown."""
     if shaken:
         return
     for pin in _moving_pins(part, scene):

@@ -9,14 +9,14 @@ def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
     """Return the highest frequency [Hz] that a scene drives its parts with.
 
     For ``ac`` and ``noise`` it is the end of their range, for ``dc`` and ``op`` zero. In a
-    transient it is the largest frequency of all sines and carriers. A wave with edges counts up to
-    the frequency below which it has 99.9 % of its energy. A ``resolved_frequency`` of the scene
-    replaces the result.
+    transient it is the largest frequency of all sines and carriers. For a wave with edges, the
+    frequency below which it has 99.9 % of its energy is used. A ``resolved_frequency`` of the
+    scene replaces the result.
 
     Parameters
     ----------
     scene : the scene.
-    constant : time constant [s] behind which voltages and forces act, as that of a coil.
+    constant : time constant [s] of a filter before voltages and forces, such as a coil.
     """
     if scene.resolved_frequency is not None:
         return scene.resolved_frequency

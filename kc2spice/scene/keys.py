@@ -41,7 +41,7 @@ def _list_kinds(annotation: Any) -> Iterator[Any]:
 
 
 def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
-    """Yield all keys of a schema in its order, those of its tables by dotted names."""
+    """Yield all keys of a schema in its order, with dotted names for keys of its tables."""
     for path, field in list_keys(model):
         default = _find_default(field)
         doc, kinds = field.description or "", dict.fromkeys(_list_kinds(field.annotation))

@@ -62,8 +62,8 @@ def load_scene(
 
     Raises
     ------
-    UsageError : no such scene, not TOML, unknown key or part type, bad value, keys that contradict
-        each other, pins that do not fit.
+    UsageError : the scene does not exist or is not TOML, a key or part type is unknown, a value is
+    invalid, keys contradict each other, or pins do not match.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def _require_known_parts(
 
     An override with a part type adds a part.
 
-    ``tables`` are those of the scene without overrides.
+    ``tables`` are the tables of the scene without overrides.
     """
     known = {*tables, *Frame.model_fields, *DEFAULT_TYPES}
     parts = [part for part in tables if part not in Frame.model_fields]
@@ -200,7 +200,7 @@ def _with_default_drive(scene: Scene) -> Scene:
 
     Raises
     ------
-    UsageError : nothing drives it, and the scene has not exactly one free electrical port.
+    UsageError : nothing drives the scene, and it does not have exactly one free electrical port.
     """
     parts = scene.parts
     if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):

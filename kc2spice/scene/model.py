@@ -258,12 +258,12 @@ class SceneSource(Protocol):
 class DeclaredScene:
     """Scene as its file declares it: checked keys and parts.
 
-    ``parts`` are in the order of the file; parts that other parts expand to follow the latter.
-    ``home`` is the folder of the file. ``ports`` selects the ports of bodies: those that are
-    needed, in an export all that their author declares (:attr:`Part.declares`), for documentation
-    all of them. ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None
-    if it follows from the analysis. ``workspace`` contains large results, such as meshes, for this
-    scene and for scenes that are made from it.
+    ``parts`` are in the order of the file; parts that another part expands to follow that part.
+    ``home`` is the folder of the file. ``ports`` selects the ports of bodies: the required ports,
+    all declared ports for an export (:attr:`Part.declares`), or all ports for documentation.
+    ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
+    from the analysis. ``workspace`` contains large results, such as meshes, for this scene and for
+    scenes that are made from it.
     """
 
     frame: Frame
@@ -358,7 +358,7 @@ class DeclaredScene:
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
     def only(self, *types: str) -> Part | None:
-        """Return the only part of these types, None if there is none or several."""
+        """Return the only part of these types, None without exactly one part."""
         result = self.of(*types)
         return result[0] if len(result) == 1 else None
 
@@ -367,7 +367,7 @@ class DeclaredScene:
 
         Raises
         ------
-        UsageError : there is none.
+        UsageError : no such part exists.
         """
         if name not in self.parts:
             raise unknown("the scene has no such part", name, self.parts, where)
@@ -378,7 +378,7 @@ class DeclaredScene:
 
         Raises
         ------
-        UsageError : none is named and there is not exactly one.
+        UsageError : no part is named and there is not exactly one.
         """
         name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
@@ -555,9 +555,9 @@ class Build:
     """Scene with the models of its parts: the basis of netlist, metrics and checks.
 
     ``models`` contains the results of :meth:`PartType.build` by part, ``libraries`` the names of
-    the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
-    they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
-    ``records`` contains the properties of the parts by name
+    the subcircuits. ``unjudged`` are parts whose parameters in the deck differ from their keys;
+    these parts have neither checks nor an energy balance. ``largest`` is the largest step of a
+    transient. ``records`` contains the properties of the parts by name
     (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` the quantities that netlist and
     probes read, and ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis.
     ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised``
@@ -591,7 +591,7 @@ class Build:
 
         Raises
         ------
-        TypeError : the part has no model, or one of another class.
+        TypeError : the part has no model, or a model of another class.
         """
         result = self.models.get(part.name)
         if not isinstance(result, kind):
@@ -773,7 +773,7 @@ class PartType(Generic[KeysT]):
 
         With ``full``, return a more accurate model of the same class: the full
         :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
-        the scene with it; None if there is no such model.
+        the scene with it; None without a more accurate model.
         """
         return None
 
@@ -811,7 +811,7 @@ class PartType(Generic[KeysT]):
     ) -> Mapping[str, SweptSource | SampledSource | float]:
         """Return quantities that the equations of the part do not determine.
 
-        By key: the source that a dc sweep moves, or the function that runs beside the simulator.
+        By key: the source that a dc sweep varies, or the function that runs during the simulation.
         By node: the voltage at t = 0 (``.ic``).
         """
         return {}

@@ -77,7 +77,7 @@ def register(part_type: PartType) -> PartType:
 
     Raises
     ------
-    UsageError : it has no name or no schema.
+    UsageError : the type has no name or no schema.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def _external_entry_points() -> tuple[EntryPoint, ...]:
 
 
 def find_part_type(name: str) -> PartType | None:
-    """Return the part type of this name; load its module first. None if there is none.
+    """Return the part type of this name; load its module first. None without such a module.
 
     Modules with several types, and other packages, are searched only if no module has this name.
     """

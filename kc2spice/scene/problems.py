@@ -232,7 +232,7 @@ def check_periods(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if an analysis has no window of its last ``count`` periods."""
+    """Yield an error if an analysis has no window of the last ``count`` periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError(

@@ -34,7 +34,7 @@ def find_noise_output(build: Build) -> Vector | None:
 
     Raises
     ------
-    UsageError : there is no such result, or it is no voltage of the netlist.
+    UsageError : the result does not exist, or is not a voltage of the netlist.
     """
     if not build.has_noise:
         return None
@@ -138,7 +138,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
 
 
 def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
-    """Return the terms of the power of a part; none if a result is missing.
+    """Return the terms of the power of a part; empty if a result is missing.
 
     The terms are the powers at the pins of the part, or products of its results.
     """

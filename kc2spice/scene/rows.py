@@ -138,7 +138,8 @@ class LargestRealPart:
 class SweptSource:
     """Source that a dc sweep of a key varies, with its volts or amperes per SI unit.
 
-    ``range`` contains the first and the last value in SI, if they differ from those of the scene.
+    ``range`` contains the first and the last value in SI, if they differ from the range of the
+    scene.
     """
 
     source: str
@@ -164,8 +165,8 @@ class DcSweep(EqualByContent):
         First and last value in SI units.
     values : ndarray
         Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
-        therefore beyond the last one of ``ends``. On the way back, the source has the value ``2
-        last - value``.
+        therefore beyond the second value of ``ends``. On the way back, the source has the value
+        ``2 last - value``.
     """
 
     source: str
@@ -215,7 +216,7 @@ class Numerics:
     [Hz] that it excites in others. A step that ``decides`` overrides all others. ``reltol`` and
     ``chgtol`` are the factors, 1 or less, of the solver's tolerances that the part requires.
     ``options`` are options of the simulator by name: value and reason. Driven waves repeat after
-    ``period`` [s]; 0 without one.
+    ``period`` [s]; 0 if they do not repeat.
     """
 
     what: str

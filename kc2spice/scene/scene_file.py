@@ -28,7 +28,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene and its overrides, in which errors find the lines of keys."""
+    """Text of a scene and its overrides, which determine the lines in error messages."""
 
     label: str
     stem: str
@@ -61,7 +61,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
 
     Raises
     ------
-    UsageError : no such scene or file, or a file that is not text.
+    UsageError : the scene or file does not exist, or the file is not text.
     """
     scenes, name = list_gallery(), str(name_or_path)
     if name in scenes:

@@ -372,7 +372,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Read the end of a transient as a time, that of ac and noise as a frequency."""
+        """Read the end as a time for a transient, and as a frequency for ac and noise."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop

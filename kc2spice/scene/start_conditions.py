@@ -20,9 +20,9 @@ class FloatingNets:
     """Nets that can drift together, because no path connects them to their reference.
 
     ``nets`` are the nets of displacements; a sphere has none, because its pins are a velocity and
-    signals. ``parts`` have a pin on the nets. ``bodies`` are those among the nets that move by
-    their own states. ``domain`` is that of the pins; in heat and sound, the potential floats
-    instead of a position.
+    signals. ``parts`` have a pin on the nets. ``bodies`` are the nets of bodies with inertia.
+    ``domain`` is the domain of the pins; in heat and sound, the potential floats instead of a
+    position.
     """
 
     nets: tuple[str, ...]
@@ -122,7 +122,7 @@ def _storage_errors(
 ) -> Iterator[UsageError]:
     """Yield the reason why floating temperatures or pressures have no operating point.
 
-    Without a constant flow they have one: small signals and pulses are stored.
+    Without a constant flow they have an operating point: small signals and pulses are stored.
     """
     kind, domain = scene.analysis.type, result.domain
     pushed = _list_loads(group, scene, rests)

@@ -108,7 +108,7 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 
     Raises
     ------
-    UsageError : a name that leads out of ``directory``; nothing was written.
+    UsageError : a name leads out of ``directory``; nothing is written.
     """
     for filename in files:
         if reason := explain_unsafe_name(filename):
@@ -132,7 +132,7 @@ def run_deck(
     Parameters
     ----------
     progress : called with the share of the transient that is done, 0 to 1.
-    timeout : seconds of wall clock after which the run is given up.
+    timeout : wall-clock time in seconds after which the run is ended.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def run_deck(
         is not trusted. The message states cause, node, time and part, and the directory with
         ``NAME.log``. The error contains the waveforms up to the failure.
     UsageError : a run with its largest step would write more than ``MAX_RAW_BYTES`` bytes.
-    SimulationError : no time left, or the raw file is not complete or too large. No failed run
+    SimulationError : the time is over, or the raw file is incomplete or too large. No failed run
         leaves a raw file.
     """
     _require_size(deck)
@@ -209,7 +209,7 @@ def _run_ngspice(
 
     Raises
     ------
-    SimulationError : it takes longer than ``timeout``, hangs, or fills the disk.
+    SimulationError : the run takes longer than ``timeout``, hangs, or fills the disk.
     """
     command = [*_end_with_parent(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
@@ -275,7 +275,7 @@ def partial_waves(
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the results in SI by name, the scale first.
 
-    The scale is called ``time``, ``frequency`` or ``sweep``. The scale is in SI units as well: a
+    The scale is called ``time``, ``frequency`` or ``sweep``. The scale is also in SI units: a
     swept displacement is in metres, although the source uses um.
 
     Raises
@@ -303,7 +303,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
 class RetrySetting:
     """Settings of an attempt: options, and a factor on tolerances and steps.
 
-    ``cures`` are the causes of failures that it may cure, ``why`` is the reason.
+    ``cures`` are the causes of failures that the setting may prevent, and ``why`` is the reason.
     """
 
     name: str
@@ -373,7 +373,7 @@ RETRY_SETTINGS = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """Attempt of the simulator as in ``result.json``; ``cause`` is None if it succeeded."""
+    """Attempt of the simulator as in ``result.json``; ``cause`` is None if the run succeeded."""
 
     setting: str
     settings: str
@@ -411,7 +411,7 @@ class RetriesFailedError(SimulationError):
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
     """Return the keys that correct the violated checks, except checks of long steps.
 
-    The result is empty if no keys cure one of these checks.
+    The result is empty if no keys avoid one of these violations.
     """
     result: dict[str, Any] = {}
     for check in violated:

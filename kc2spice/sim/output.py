@@ -1,7 +1,7 @@
 """Readers of the output of ngspice: its log and its binary raw files.
 
-Failures and struggles in the log, with their node or part, are separated from harmless notes. Raw
-files are checked before use.
+Failures and difficulties in the log, with their node or part, are separated from harmless notes.
+Raw files are checked before use.
 """
 
 from __future__ import annotations
@@ -178,8 +178,8 @@ def find_run_failure(
 ) -> FailedRunError | None:
     """Return the error of a failed run from the log ``text``; None if the run succeeded.
 
-    ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
-    and say nothing.
+    ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient
+    early without a message.
     """
     report, stop = classify_log(text), deck.stop
     reported = report.cause is not None or code != 0
@@ -273,7 +273,8 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
     Raises
     ------
-    SimulationError : missing, empty, truncated, with more data than promised, or not finite.
+    SimulationError : the file is missing, empty or truncated, contains more data than its header
+    states, or values are not finite.
     """
     if not path.is_file():
         raise SimulationError("the simulator wrote no raw file", where=str(path))
@@ -302,7 +303,7 @@ def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.
 
 
 def _read_plots(path: Path) -> Iterator[_Plot]:
-    """Read every plot of a file, each with all the points that its header promises."""
+    """Read every plot of a file, each with all points that its header states."""
     begin: int | None = 0
     while begin is not None:
         plot = _read_plot(path, begin)
@@ -333,7 +334,7 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def last_scale_value(path: Path) -> float | None:
-    """Read the scale (time) of the last complete point; None before the first point."""
+    """Read the scale (time) of the last complete point; None without a point."""
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 

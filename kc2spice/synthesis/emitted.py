@@ -60,8 +60,8 @@ def estimate_circuit_error(
 
     The difference of the responses is relative in the ``norm`` of a
     :class:`kc2spice.rom.linear_model.Certificate`. The ports are loaded as in
-    :func:`kc2spice.synthesis.realize.apply_unit_load`. An acceleration port is judged by the force
-    that its pin draws.
+    :func:`kc2spice.synthesis.realize.apply_unit_load`. For an acceleration port, the force that
+    its pin draws is compared.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ from kc2spice.scene.model import Terminal
 
 SIGN_TEXT = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 FLOW_TEXT = "1 V counts from the reference, 1 A into the pin"
-ROOM_TEXT = "constant temperature; nothing here heats up, ages or breaks"
+ROOM_TEXT = "constant temperature; no heating, ageing or failure"
 OUTWARDS_TEXT = (
     "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
     "that way with 1 N"
@@ -55,13 +55,13 @@ def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple
     state stability and passivity if one of the two is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
-    compliance = f", compliance off by {', '.join(errors)}" if errors else ""
+    compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
     share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
     proofs = "" if certificate.stable and certificate.passive else certificate.proofs
     facts = certificate.method, proofs, f"emitted circuit to model: {share}"
     method = "; ".join(filter(None, facts))
-    text = f"({method}); no error estimate above the band{compliance}"
-    first, *more = wrap_comment(f"rom: {text}: a contact or a steep edge excites it")
+    above = "no error estimate above the band, which a contact or a steep edge can excite"
+    first, *more = wrap_comment(f"rom: ({method}); {above}{compliance}")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 

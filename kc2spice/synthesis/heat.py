@@ -6,11 +6,11 @@ eigenvalues. The modes are
     C_j h_j' + h_j / R_j = sum_k a_kj q_k,    T_k = sum_j a_kj h_j + sum_l D_kl q_l
 
 with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [K] over the pin
-``ambient``. Every mode is a thermal resistance R_j beside a heat capacity C_j, and its largest
-``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors a_kj act in
-both directions, as in ideal transformers. The circuit therefore is passive for all positive R_j and
-C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` is a ladder: Cauer's
-form. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+``ambient``. Every mode is a thermal resistance R_j in parallel with a heat capacity C_j, and its
+largest ``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors
+a_kj act in both directions, as in ideal transformers. The circuit therefore is passive for all
+positive R_j and C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` is
+a ladder: Cauer's form. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
 * Resistances [K/W] and heat capacities [J/K] are positive: the network is passive."""
-_MODES_COMMENT = "* Every mode is a thermal resistance beside a heat capacity."
+_MODES_COMMENT = "* Every mode is a thermal resistance in parallel with a heat capacity."
 _SERIES_COMMENT = "* The modes of the port are in series (Foster's form)."
 _COUPLED_COMMENT = """\
-* Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
-* of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
-* is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
+* Ideal transformers connect ports and modes: V(h1) times a factor adds to the temperature of the
+* port, and the heat flow times this factor flows into the node h1. The voltage of node f is the
+* heat flow into the pin (1 V = 1 W)."""
 _LADDER_COMMENT = """\
-* Cauer's form: capacities lie between the nodes and {base}. The sums of resistances and capacities
-* from the port on are the structure function of the path of heat."""
-_STORED_COMMENT = "nothing leads its heat away; the leak gives it an operating point"
+* Cauer's form: capacities are between the nodes and {base}. The cumulative resistances and
+* capacities along the nodes, from the port on, are the structure function."""
+_STORED_COMMENT = "no path removes its heat; the leak gives it an operating point"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
     The modes are those of ``E x = t K x`` with the time constants t. Their static contributions
-    determine a network at rest. If K is singular, nothing leads the heat of some modes away, and a
+    determine a network at rest. If K is singular, no path removes the heat of some modes, and a
     leak replaces the resistance of these modes.
 
     Raises
@@ -155,7 +155,7 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Separate temperatures whose heat no path conducts away from all others.
+    """Separate temperatures without a heat path from all others.
 
     The results are two bases: the null space N of K, and its complement that is orthogonal with
     respect to E, so that the modes of both are independent.
@@ -256,7 +256,7 @@ def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of ports, whose temperatures are sums of those of the modes."""
+    """Yield the cards of ports, whose temperatures are sums of the temperatures of the modes."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."

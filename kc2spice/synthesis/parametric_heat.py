@@ -46,15 +46,15 @@ from kc2spice.synthesis.realize import UNRATED, heat_pins, heat_words, make_subc
 
 # Names that the subcircuit uses for its own parameters.
 _RESERVED = r"change\d+|inside\d+"
-NEGLIGIBLE = 1e-15  # entry of a matrix, relative to those of its row and column, that is rounding
+NEGLIGIBLE = 1e-15  # entry of a matrix, relative to its row and column, that is a rounding error
 _ABOUT = """\
 * Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
 * 1 W into the pin. Connect {base} to node 0, or to a source whose voltage is the temperature there.
-* Every mode of the defaults is a thermal resistance [K/W] beside a heat capacity [J/K]. A parameter
-* changes these, and couples the modes in proportion to its change.
-* Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
-* of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
-* is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
+* At the default values, every mode is a thermal resistance [K/W] in parallel with a heat capacity
+* [J/K]. The change of a parameter changes these values and couples the modes in proportion.
+* Ideal transformers connect ports and modes: V(h1) times a factor adds to the temperature of the
+* port, and the heat flow times this factor flows into the node h1. The voltage of node f is the
+* heat flow into the pin (1 V = 1 W)."""
 
 
 def heat_subcircuit_over_ranges(
@@ -77,7 +77,7 @@ def heat_subcircuit_over_ranges(
 
     Raises
     ------
-    UsageError : a name that the subcircuit has for itself, or a model that is not passive at the
+    UsageError : a name that the subcircuit uses internally, or a model that is not passive at the
         defaults.
     """
     names = [item.name for item in parameters]
@@ -149,7 +149,8 @@ def _write_change(
 
 
 def _without_rounding(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix without entries that are rounding beside those of their row and column."""
+    """Return a matrix without entries that are rounding errors relative to their row and
+    column."""
     size = np.sqrt(np.abs(np.diag(matrix)))
     return np.where(np.abs(matrix) > NEGLIGIBLE * np.outer(size, size), matrix, 0.0)
 
@@ -183,7 +184,7 @@ class _Network:
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
         yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
-        # capacitors between modes store the heat of differences, which the row sum leaves here
+        # capacitors between modes store the heat of differences; the row sum remains here
         sums = self.stored[:, j].sum(axis=1)
         if sums.any():
             yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
@@ -191,7 +192,7 @@ class _Network:
             yield Element.of(f"C{j + 1}", node, base, float(C))
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
-        """Return the text of a constant plus changes with coefficients; none if all are zero."""
+        """Return the text of a constant plus changes with coefficients; empty if all are zero."""
         text = format_number(constant) if constant else ""
         for t, value in enumerate(coefficients, 1):
             if value:

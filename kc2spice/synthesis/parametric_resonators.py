@@ -1,7 +1,7 @@
 """Resonators that depend on parameters, as one subcircuit with these parameters.
 
 The numbers of the elements are ``.param`` expressions. A simulator evaluates the expressions once,
-when it expands the subcircuit, so that a run takes no longer than with other resonators.
+when it expands the subcircuit, so that a run takes as long as with other resonators.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ Polynomial = Callable[[np.ndarray], str]
 # Names that the subcircuit uses for its own parameters.
 _RESERVED_NAME = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
 _RESONATOR_COMMENT = """\
-* Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
-* are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
-* subcircuit is expanded. x1, x2, ... count from -1 at the low end of a range to 1 at its high end.
-* Every mode is two integrators, q (displacement) and p (q'/omega of the defaults), whose 1 V is the
-* mode's largest displacement of a port in um. Modes that come near each other in the box are one
-* block. Their stiffness stays positive: k = L L'.
-* The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
+* Resonators whose frequencies, couplings, capacitances and damping are polynomials of the
+* parameters. The simulator evaluates the polynomials once, when it expands the subcircuit. Their
+* arguments x1, x2, ... are -1 at the low end and 1 at the high end of a range (logarithmic scale).
+* Each mode has two integrators: q (displacement) and p (q'/omega at the default values). 1 V of a
+* mode is its largest displacement of a port in um. Modes whose frequencies come close within the
+* ranges form one block with the positive stiffness k = L L'.
+* The base is the mechanical and signal reference: connect it to node 0. Electrical pins float."""
 
 _DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
 
@@ -283,7 +283,7 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
 
 
 def _nonzero_entries(model: Varying) -> tuple[np.ndarray, np.ndarray]:
-    """Return which entries (q, q) of L, and of the stiffness ``L L'``, are not zero."""
+    """Return masks (q, q) of the nonzero entries of L and of the stiffness ``L L'``."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 
@@ -339,7 +339,7 @@ class _PortsAndModes:
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
     def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
-        """Yield the source of the state i at the port k, none if the gain is zero."""
+        """Yield the source of the state i at the port k, nothing if the gain is zero."""
         if self.model.gain[:, i - 1, k].any():
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")

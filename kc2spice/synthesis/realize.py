@@ -113,17 +113,17 @@ _OUTWARDS_COMMENT = (
     "* body along that direction (rotations: right-hand rule of the port's axis).",
 )
 _RESONATORS_COMMENT = """\
-* Each mode of the reduced model is two integrators, q (displacement) and p (q'/omega). Both are
+* Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
 * scaled so that 1 V is the mode's largest {answer}:
 *
 *     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
 *
-* The comment of a mode states its frequency, its Q and the branch that it is, with damping=1, at
-* the port that it moves most: L, C and R in series across an electrical port, or the mass m [kg],
+* The comment of a mode states frequency, Q and equivalent branch at the port with the largest
+* coupling, for damping=1: L, C and R in series across an electrical port, or the mass m [kg],
 * damper c [N s/m] and spring k [N/m] at a pin.
-* Modes are left out whose share in every port is less than {silent:g} of the largest.
-* Modes above {full} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
-* ones, by the power {power} of their frequency: the simulator's time steps follow them less.
+* Modes whose coupling to every port is less than {silent:g} of the largest are left out.
+* Modes above {full} times the lowest frequency have capacitors of 1 uF. The capacitors of slower
+* modes decrease with the power {power} of the frequency: these modes limit the time steps less.
 * {reference}: connect it to node 0. Electrical pins float."""
 _LIGHT_DAMPING_COMMENT = """\
 * Modes with a Q above {quality:g} have p = q + q'/omega, which gives pivots on the diagonal."""
@@ -133,41 +133,42 @@ _STATES_COMMENT = """\
 *
 *     z' = A z + B u                y = C z + D u
 *
-* They are scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference
-* of all pins that are not electrical: connect it to node 0."""
-_LOOP_NOTE = "no states, but signals that close loops: the currents into each node are zero"
+* The states are scaled to about 1 V for a constant input of 1 V. {base} is the reference of all
+* pins that are not electrical: connect it to node 0."""
+_LOOP_NOTE = "no states, but loops of signals: the sum of the currents into each node is zero"
 _INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
 _CLAMPED_COMMENT = """
 * Electrical port{name}: the clamped capacitance of {farad:.6g} F in series with the voltage
 * -charge/capacitance of the charge that the modes move (1 V on charge = 1 uC).
-* Cclamped has {share} of the capacitance, Gmore adds the rest of its current: time steps then
-* follow the motion of the body, not its current. The voltage of node current is that current.
-* Gleak gives a floating electrode an operating point: its charge decays within {seconds:g} s."""
+* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current, so that the
+* time steps follow the motion of the body and not the current. The voltage of node current is the
+* total current. Gleak gives a floating electrode an operating point: its charge decays within
+* {seconds:g} s."""
 _FILLED_COMMENT = """
-* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. What it takes up at once
-* is the charge of {farad:.6g} F, in series with the voltage -charge/capacitance of the charge that
-* the modes take up (1 V on charge = 1 uC, thus 1e-6 {flow} s).
-* Cclamped has {share} of the capacitance, Gmore adds the rest of its current, which is the
-* voltage of node current. Gleak gives the pin an operating point: the charge decays
+* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. The capacitance of
+* {farad:.6g} F stores the part that follows at once, in series with the voltage
+* -charge/capacitance of the part that the modes store (1 V on charge = 1 uC, thus 1e-6 {flow} s).
+* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current. The voltage
+* of node current is the total current. Gleak gives the pin an operating point: the charge decays
 * within {seconds:g} s."""
 _UNFILLED_COMMENT = """
 * Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
-* of what the states take up. Gleak gives the pin an operating point."""
+* of the quantity that the states store. Gleak gives the pin an operating point."""
 _UNCLAMPED_COMMENT = """
-* Electrical port {name} has no capacitance of its own: its current is the rate of the charge
+* Electrical port {name} has no clamped capacitance: its current is the rate of the charge
 * that the states move.
 * Gleak gives a floating electrode an operating point."""
 _MOTION_COMMENT = """
 * Port {pin}: its displacement u is the sum of the modes (1 V = 1 um). The voltage of node f is the
-* force that holds the pin at u (1 V = 1 N)."""
+* force that keeps the pin at u (1 V = 1 N)."""
 _ROTATION_COMMENT = """
-* Rotation {pin}: as a displacement port, 1 V = 1 rad and 1 A = 1 N m."""
+* Rotation {pin}: like a displacement port, with 1 V = 1 rad and 1 A = 1 N m."""
 _SHAKEN_COMMENT = """
-* Acceleration {pin} of the frame that the body is fixed to (1 V = 1 m/s2); the force that it
-* takes to move the body flows into the pin (1 A = 1 N)."""
+* Acceleration {pin} of the frame to which the body is fixed (1 V = 1 m/s2). The current into the
+* pin is the force that accelerates the body (1 A = 1 N)."""
 _NOISE_COMMENT = """\
-* Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
-* resistor of as many ohms. No other resistor here has noise."""
+* Every loss has thermal force noise, 4 k T times its damping. A resistor of the same number of ohms
+* provides this noise. No other resistor in this subcircuit has noise."""
 DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
 _NOISE_INPUT_NAME = re.compile(r"noise\d+")
 NEGLIGIBLE_ERROR = 1e-3  # negligible relative to an error estimate with three digits
@@ -345,7 +346,7 @@ def subcircuit(
     """Write one ``.subckt`` with the pins of every port of a linear model.
 
     Electrical ports are pairs of floating terminals and come first, then the other conservative
-    ports, ``base`` (their reference) and the signal pins; a model of signals alone has ``ref``.
+    ports, ``base`` (their reference) and the signal pins; a model with only signals has ``ref``.
     A displacement or rotation pin is conservative: its value equals the sum over the states, and
     the force on that pin drives the states. An acceleration pin shakes the frame and draws the
     force that this takes. The subcircuit has the port laws and the passivity of the model.
@@ -384,7 +385,7 @@ def subcircuit(
 
     Raises
     ------
-    UsageError : no linear model, an unknown port, a name that the subcircuit has for itself, a
+    UsageError : no linear model, an unknown port, a name that the subcircuit uses internally, a
         model without state-space form or, with ``noise``, without symmetric matrices, capacitances
         between electrodes that no passive network has, or, with ``heat``, coupled losses.
 
@@ -491,7 +492,7 @@ def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -
 
 
 def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins of a heat model, and the name of the last one, their reference.
+    """Return the pins of a heat model, and the name of the last pin, which is the reference.
 
     Raises
     ------
@@ -536,8 +537,9 @@ def make_subcircuit(
     ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
     pivots. ``words`` are the title, the rating and the validity of the head.
 
-    The error estimate adds the error of the elements to that of the certificate. The elements are
-    compared with ``rom`` at the defaults and with ``others`` at their parameters' values.
+    The error estimate is the sum of the errors of the elements and of the certificate. The
+    elements are compared with ``rom`` at the defaults and with ``others`` at their parameters'
+    values.
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
@@ -778,8 +780,8 @@ class _OutputLaws:
 
         Raises
         ------
-        UsageError : an acceleration port that takes the rate of an input, or an electrode without
-            a clamped capacitance that shares charge.
+        UsageError : an acceleration port depends on the rate of an input, or an electrode without
+        clamped capacitance shares charge.
         """
         if t.row is None:
             return t
@@ -1071,8 +1073,8 @@ def describe_branch(
 
     The mode is ``z'' + damp z' + omega^2 z = g v`` with the charge ``g z``. At an electrical port
     it is L = 1/g^2, R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port it is the mass
-    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. ``gains`` are those of all
-    modes: a gain far below the largest of them is a rounding error.
+    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. ``gains`` are the gains of
+    all modes: a gain far below the largest is a rounding error.
     """
     size = np.abs(gain)
     size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
@@ -1293,8 +1295,8 @@ def apply_unit_load(
 
     A response maps a port to its vector and the factor of the vector to SI. As in
     :meth:`LinearModel.transfer`, the other electrodes are shorted, mechanical ports are free,
-    frames stand still and other inputs are zero. An electrode responds with its current, another
-    driven pin with its flow, a frame with its force. ``tag`` ends all names of the copy.
+    frames are at rest and other inputs are zero. The response of an electrode is its current, of
+    another driven pin its flow, and of a frame its force. ``tag`` ends all names of the copy.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
     nodes = {}

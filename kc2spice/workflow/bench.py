@@ -1,13 +1,13 @@
 """Error and CPU time of a scene for various numerical settings, and a recommendation.
 
-The scene runs unchanged, with one axis (:mod:`kc2spice.scene.axes`) changed at a time, and with all
+The scene runs unchanged, with each single axis (:mod:`kc2spice.scene.axes`) changed, and with all
 axes finer. The search then follows the axes to the cheapest settings within the error limit, and
 within the error of the scene itself.
 
-Errors are relative to a reference run with every axis at its finest value. A second, less fine run
-shows how well the reference has converged. A key that the scene sets to its finest value, such as a
-``reltol`` of 1e-7, has no finer run. The change by a coarser value is then part of every error. The
-unchanged scene also has the error estimate of an ``error_budget``.
+Errors are relative to a reference run with every axis at its finest value. A second, coarser run
+shows how well the reference has converged. A key that the scene sets to its finest value, such as
+a ``reltol`` of 1e-7, has no finer run. The change by a coarser value is then part of every error.
+The unchanged scene also has the error estimate of an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
@@ -80,7 +80,7 @@ class _Point:
         return statistics.median(self.times)
 
     def dominates(self, other: _Point) -> bool:
-        """Return whether this point is better in error or time and not worse in either."""
+        """Return whether this point is better in error or time, and worse in neither."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 
@@ -143,7 +143,7 @@ class _Plane:
             self.points[label] = _Point(place, settings, run, errors, [run.cpu_s])
 
     def axis_errors(self, axis: Axis, notch: float) -> Errors:
-        """Return the errors that one value of an axis causes while the others stay.
+        """Return the errors that one value of an axis causes while all others are unchanged.
 
         A value has at least the errors of every finer value.
         """
@@ -167,7 +167,8 @@ class _Plane:
         return max(point.error, self.error_bound(point))
 
     def find_cheapest(self, limit: float) -> _Point | None:
-        """Return the fastest setting within ``limit``; of equally fast ones the most accurate."""
+        """Return the fastest setting within ``limit``; among equally fast settings, the most
+        accurate."""
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
         fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
@@ -355,7 +356,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
 
     Raises
     ------
-    SimulationError : a metric is missing, or one that is true or false has another value.
+    SimulationError : a metric is missing, or a metric that is true or false has changed.
     """
     for name, value in exact.values.items():
         ours = run.values.get(name)

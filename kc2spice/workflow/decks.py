@@ -49,7 +49,7 @@ def prepare_deck(
     functions: Mapping[str, Any] | None = None,
     edited: Path | None = None,
 ) -> tuple[Build, Deck]:
-    """Return the models and the deck of ``scene``, or its deck ``edited`` by hand.
+    """Return the models and the deck of ``scene``, or its ``edited`` deck.
 
     Errors of the wiring name file and line before the simulator starts. ``functions`` are the
     Python functions of controllers by part. Raises as :func:`make_deck` and
@@ -213,7 +213,7 @@ def _step_comment_lines(build: Build) -> Iterator[str]:
 def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial values of a transient by node.
 
-    Nets that only dampers join have no other value and begin at 0.
+    Nets that are joined only by dampers begin at 0.
     """
     if build.scene.analysis.type != "transient":
         return {}

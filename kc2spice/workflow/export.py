@@ -38,8 +38,8 @@ def export_scene(
 
     Bodies from files have all ports that they declare, even if nothing is joined to them.
     Returns the paths of the files. With ``trust``, included netlists may execute programs and open
-    files. With ``count`` the deck has so many copies of the scene, and there are no symbols.
-    ``solver`` names the direct solver of reductions.
+    files. With ``count``, the deck has this number of copies of the scene, and no symbols are
+    written. ``solver`` names the direct solver of reductions.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _require_circuits(build: Build, deck: Deck) -> None:
 
     Raises
     ------
-    GateMissedError : one of them does not.
+    GateMissedError : a circuit exceeds the tolerance.
     """
     circuits = {part.name.lower(): part for part in deck.parts if part.reduction is not None}
     for part in build.scene.parts.values():

@@ -2,10 +2,10 @@
 
 A card exists for each quantity of one vector that ngspice computes in the same way as the program:
 extremes and their places, their difference, means, values at a place, crossings of a level and the
-last value. In ``ac`` extremes are those of the computed points; the metric interpolates between
-them. An ``op`` has no cards: its deck prints the vectors.
+last value. In ``ac``, extremes are values at computed points; the metric interpolates between the
+points. An ``op`` has no cards: its deck prints the vectors.
 
-No card of ngspice computes these quantities: fits of an impedance (antiresonance, Q
+ngspice has no card for these quantities: fits of an impedance (antiresonance, Q
 factor, capacitance), cycles of a frequency, and windows, whose ends lie between time points.
 """
 

@@ -76,9 +76,9 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
 def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
     """Yield all checks, and a warning for each check that errors of reduced bodies may decide.
 
-    A relative error e of the velocity that a body gives changes the height of a flight, v^2 / 2 g,
-    by the relative amount 2 e. An outcome is undecided if the motion is nearer to its limit than
-    that.
+    A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
+    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
+    smaller than this.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:

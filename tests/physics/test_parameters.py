@@ -1,5 +1,5 @@
-"""Parameters in a netlist: errors over the box against full models that nothing was made from,
-modes that cross and repel, ends of ranges, and bad boxes."""
+"""Parameters in a netlist: errors over the ranges against full models at new values, modes that
+cross and repel, ends of ranges, and bad ranges."""
 
 import re
 import subprocess
@@ -372,8 +372,8 @@ def test_frequencies_may_cross_within_the_box():
 
 @pytest.mark.slow
 def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
-    """Full models are solved at every frequency; the box is ten per cent of sizes, ten times of a
-    loss, which is exact."""
+    """Full models are solved at every frequency; the ranges are ten per cent of the sizes and
+    a factor of ten of the loss, which is exact."""
     start = {"layers[0].thickness": 0.2e-3, "layers[1].diameter": 14e-3, "damping.quality": 50.0}
     axes = [ParameterAxis(key, value / 1.05, 1.05 * value) for key, value in start.items()][:2]
     axes += [ParameterAxis("damping.quality", 10.0, 100.0)]
@@ -435,9 +435,9 @@ def test_parameters_outside_of_the_box_are_refused():
 @pytest.mark.slow
 @pytest.mark.campaign
 def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
-    """The paper's stack on a coarse mesh, at 50 points that nothing was made from: every response
-    of its anode and rings within the certificate, and what it throws, for which contact excites it
-    above the band too, within the error that a budget states."""
+    """The paper's stack on a coarse mesh, at 50 points that were not used for the reduction. Every
+    response of its anode and rings is within the certificate. The launch velocity, for which the
+    contact excites modes above the band, is within the error that a budget states."""
     d = {"d31": -3.212e-10, "d33": 7.124e-10, "d15": 9.503e-10}  # C/N, of the paper's e and c
     ranges = {
         "height": ["1.9 mm", "2.1 mm"],

@@ -120,7 +120,8 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
 def read_any_model(
     path: Path | str, sidecar: Path | str | None = None
 ) -> LinearModel | AffineModel:
-    """Read a model with parameters as :func:`read_affine_model`, others as :func:`read_model`."""
+    """Read a model by :func:`read_affine_model` if it has parameters, otherwise by
+    :func:`read_model`."""
     rows, terms = _read_rows(path, sidecar)
     settings = rows.sidecar
     model = _assemble_at(rows, terms, default_values(settings))
@@ -169,7 +170,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
 
 
 def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
-    """Read the matrix of a term; None if it is the matrix of the model.
+    """Read the matrix of a term; None for the matrix of the model.
 
     Raises
     ------

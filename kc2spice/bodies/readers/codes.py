@@ -299,7 +299,7 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
 
     Raises
     ------
-    ValueError : damaged, an equation missing or twice, a freedom that is not known.
+    ValueError : damaged, an equation missing or repeated, or an unknown degree of freedom.
     """
     lines = map(str.split, data.decode("ascii", "replace").splitlines())
     rows = [words for words in lines if words and words[0].isdigit()]

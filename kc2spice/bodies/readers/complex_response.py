@@ -148,11 +148,11 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace titles that a suffix implies by those of equal quantity in comments.
+    """Replace titles that a suffix implies by titles of the same quantity in comments.
 
     Raises
     ------
-    ValueError : the comments have a unit that is not one of its quantity.
+    ValueError : a unit in the comments does not belong to the quantity.
     """
     result = list(titles)
     quantities = [title.meaning.quantity for title in map(read_title, titles) if title]
@@ -383,7 +383,7 @@ def _combine_columns(
 
     Raises
     ------
-    UsageError : two of them give different responses.
+    UsageError : two combinations of columns give different responses.
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
@@ -411,7 +411,7 @@ def _combine_columns(
 
 
 def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
-    """Admittance (n,) of a reading, by a reference of S that is the same for all."""
+    """Admittance (n,) of a combination of columns, with a common reference resistance of S."""
     x = reading.samples
     if reading.combination.quantity == "Y":
         return x
@@ -448,7 +448,7 @@ def _complex_response(
 
 
 def describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
-    """Describe the titles that are not among those ``used``; empty if all are used."""
+    """Describe the titles that are not ``used``; empty if all are used."""
     names = set(map(str.strip, used))
     unused = [title for title in map(str.strip, titles) if title and title not in names]
     return f"; not used: {', '.join(unused)}" if unused else ""
@@ -462,7 +462,7 @@ def _make_response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """Make the response of samples (n,) of one port; rows of direct current are left out."""
+    """Make the response of samples (n,) of one port without rows at frequency zero."""
     f, samples = f[f != 0], samples[f != 0]
     matrix, z0 = samples[:, None, None], np.array([reference])
     Y = convert_to_admittance(quantity, matrix, z0)

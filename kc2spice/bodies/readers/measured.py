@@ -2,7 +2,7 @@
 
 A table has titles of its columns in any order (:mod:`kc2spice.bodies.readers.meanings`). A measured
 file contains a frequency and the columns of one combination. Semicolons, tabs, commas or blanks
-separate fields. Commas are decimal if they do not separate.
+separate fields. A comma that does not separate columns is a decimal comma.
 
 Variables of a MATLAB file have the same names as columns. A complex variable is ``z``, ``y`` or
 ``s``, of n frequencies or of the shape (ports, ports, n). ``z0`` is the resistance of ``s``.
@@ -224,7 +224,7 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
 
     Raises
     ------
-    UsageError : it is not a positive resistance.
+    UsageError : the value is not a positive resistance.
     """
     if shunt is None:
         return None

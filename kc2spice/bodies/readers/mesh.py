@@ -72,7 +72,7 @@ def read_nodes(path: Path) -> NodeMesh:
 
     Raises
     ------
-    UsageError : damaged, several instances, moved coordinates, or no node in it.
+    UsageError : the file is damaged, has several instances, transformed coordinates, or no node.
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:
@@ -111,7 +111,7 @@ def _split_cells(line: str) -> list[str]:
 
 
 def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
-    """Parse up to three coordinates; those that are missing are 0."""
+    """Parse up to three coordinates; missing coordinates are 0."""
     values = [parse_fortran_number(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z

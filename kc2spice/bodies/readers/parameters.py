@@ -24,7 +24,7 @@ def model_parameter(settings: Sidecar, name: str) -> ModelParameter:
 
     Raises
     ------
-    UsageError : a range that is none, or a default outside of it.
+    UsageError : an empty range, or a default outside of the range.
     """
     entry = settings.parameters[name]
     try:

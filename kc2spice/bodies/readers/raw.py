@@ -7,13 +7,14 @@ An archive contains dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``,
 the parts of a sparse matrix. The parts have the names of ``scipy.sparse.save_npz`` behind the
 letter and a dot (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; coo has
 ``K.row``, ``K.col``). ``nodes`` (n,) and ``dofs`` (n,), integers, may name the rows. Readers in a
-separate process return the same form. The reader of MATLAB files is one, because scipy's may crash
-on a corrupt file.
+separate process return the same form. MATLAB files are read in a child process, because the reader
+of scipy may crash on a corrupt file.
 
 A MATLAB file contains variables of these names, or one struct of COMSOL's ``mphmatrix`` or
-``mphstate``. COMSOL writes ``E u'' + D u' + K u = L``: its ``E`` is our mass, its ``D`` our
-damping, and its ``L`` our ``B``. The eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are used if they
-exist. ``mphstate`` returns ``Mc x' = MA x + MB u`` (or ``A``, ``B``) and ``y = C x + D u``.
+``mphstate``. COMSOL writes ``E u'' + D u' + K u = L``: its ``E`` is the mass, its ``D`` the
+damping, and its ``L`` the input matrix ``B``. The eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are
+used if they exist. ``mphstate`` returns ``Mc x' = MA x + MB u`` (or ``A``, ``B``) and ``y = C x +
+D u``.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
 
     Raises
     ------
-    UsageError : no such file, or one above ``MAX_TEXT_BYTES``.
+    UsageError : the file does not exist, or has more than ``MAX_TEXT_BYTES``.
     """
     if not is_file(path):
         raise make_missing_error(path, what)
@@ -121,7 +122,8 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
     """Call ``read()``, and turn exceptions of parsers into errors about the file.
 
-    ``advice`` is the hint for a damaged file. The path becomes the location of errors without one.
+    ``advice`` is the hint for a damaged file. Errors without a location get the path as their
+    location.
     """
     try:
         return read()
@@ -258,7 +260,7 @@ def row_keys(table: np.ndarray) -> Triple:
 def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array], Dofs]:
     """Make matrices with common rows from the results of :func:`row_keys` by letter.
 
-    Rows are sorted by node, then by freedom. Gaps in the numbering leave no empty rows.
+    Rows are sorted by node, then by degree of freedom. Gaps in the numbering leave no empty rows.
     """
     rows, columns, _ = zip(*triples.values(), strict=True)
     keys = np.unique(np.concatenate([*rows, *columns]))
@@ -298,8 +300,8 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
 
     Raises
     ------
-    UsageError, ValueError : missing, damaged, too large, with Python objects, or parts that make
-        no matrix.
+    UsageError, ValueError : the file is missing, damaged, too large, contains Python objects, or
+    its parts do not form a matrix.
     """
 
     letters = {name: letter for letter, name in requested.items()}
@@ -506,7 +508,7 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(
             f"struct {name} has scaled unknowns (uscale): set the scaling of the solver to None"
         )
-    # A problem without mass is of first order and retains its E; without a load, the TOML file
+    # A problem without mass is of first order and keeps its E; without a load, the TOML file
     # defines the ports.
     empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}
     if "M" not in result or "M" in empty:

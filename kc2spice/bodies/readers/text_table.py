@@ -54,9 +54,9 @@ MAX_PHASE_DEGREES = 180.0  # degrees, the largest size of a phase
 class TextTable(EqualByContent):
     """Columns of ``numbers`` (n,) under ``titles``.
 
-    The titles are None if no line contains as many. ``lines`` are the first and the last line of
-    the numbers, from 1. ``header`` is the last line above them, and ``comments`` are all lines
-    above them. ``notes`` are assumptions of the reader.
+    The titles are None if no line contains as many words as the rows. ``lines`` are the first and
+    the last line of the numbers, from 1. ``header`` is the last line above them, and ``comments``
+    are all lines above them. ``notes`` are assumptions of the reader.
     """
 
     titles: tuple[str, ...] | None
@@ -272,7 +272,7 @@ def _is_unit(word: str) -> bool:
 
 
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
-    """Split a line into so many titles; None if no separator does."""
+    """Split a line into so many titles; None if no separator gives this number of titles."""
     splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also separate the words of one title
         splits += map(partial(_split_fields, line), SEPARATORS)
@@ -322,11 +322,12 @@ def _apply_format(
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
     """Name the numbers of a trace by the ``FORMAT`` in the file, and add a note.
 
-    The second number of one real quantity is zero. Beside |Z| or |Y| it may be the phase.
+    The second number of one real quantity is zero. Next to |Z| or |Y|, the second trace may be the
+    phase.
 
     Raises
     ------
-    ValueError : it is neither zero nor a phase.
+    ValueError : a value is neither zero nor a phase.
     """
     places = [k for k, title in enumerate(titles) if TRACE_COLUMN.fullmatch(title.strip())]
     if not places:
@@ -370,7 +371,7 @@ def _append_block(before: TextTable, table: TextTable) -> TextTable:
 
 
 def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
-    """Merge tables with the same frequencies and other titles."""
+    """Merge tables with the same frequencies and different titles."""
     result = list[TextTable]()
     for table in tables:
         place = next(

@@ -57,7 +57,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Title:
-    """Meaning of the title of a column; ``unit`` is None without a unit in it."""
+    """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
 
     text: str
     meaning: ColumnKind
@@ -143,7 +143,7 @@ def read_title(text: str) -> Title | None:
 
     Raises
     ------
-    ValueError : a unit that its quantity is not measured in, or whose prefix is not clear.
+    ValueError : a unit that does not belong to the quantity, or a unit with an ambiguous prefix.
     """
     plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
@@ -255,7 +255,7 @@ def convert_column(title: Title, values: np.ndarray) -> Column:
 
     Raises
     ------
-    ValueError : the phase of an impedance of more than a turn.
+    ValueError : the phase of an impedance exceeds a full turn.
     """
     unit, note, name = title.unit, "", title.text.strip()
     if unit is None:

@@ -123,7 +123,7 @@ def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> st
 
     Raises
     ------
-    ValueError : more than one of them.
+    ValueError : more than one option states it.
     """
     present = [word for word in words if word in choices]
     if len(present) > 1:

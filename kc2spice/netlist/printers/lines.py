@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 MAX_WIDTH = 100  # characters of the longest line
-MIN_WIDTH = 50  # characters; a line is broken within a word rather than made shorter
+MIN_WIDTH = 50  # characters; shorter lines are avoided by a break within a word
 _EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
 _SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
 _PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")

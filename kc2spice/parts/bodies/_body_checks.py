@@ -35,12 +35,12 @@ from kc2spice.synthesis.realize import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
-STATE_FACTOR = 2  # ratio of the recommended number of states to that of a model that is too coarse
+STATE_FACTOR = 2  # recommended number of states, relative to a model that is too coarse
 # error estimates above which a run fails, or prints a warning
 FAILURE_ERROR, WARNING_ERROR = 0.1, 0.01
-# Error of a port's compliance above the band. A body in contact with a larger one is judged by
-# the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 % (rms);
-# at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
+# Error of a port's compliance above the band. A body in contact with a larger error is checked
+# under the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 %
+# (rms); at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = (
     "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
@@ -76,7 +76,7 @@ ZERO_LOAD = 1e-9  # zero load, relative to the largest force or energy; far abov
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
-    """A linear part that judges its reduced model by the loads of a run."""
+    """A linear part that checks its reduced model under the loads of a run."""
 
     def checks(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
@@ -150,7 +150,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         band.
 
         A large pointwise error at a sharp resonance may have no effect under the recorded loads,
-        and a small one says nothing about loads above the band. The error under load compares the
+        and a small error does not apply to loads above the band. The error under load compares the
         responses of this model and of a model with more states to the recorded forces and voltages.
         """
         name, error = part.name, certificate.error_estimate
@@ -180,8 +180,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> tuple[float, int] | None:
         """Largest error of the reduced ``model`` under the loads of a run while these change.
 
-        Also returns the states of the model that it is compared with. None if a load is not known,
-        or if no model with more states is known.
+        Also returns the states of the model that it is compared with. None if a load or a model
+        with more states is missing.
         """
         loads, certificate = self.loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -218,8 +218,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield checks whether the band contains the frequencies of the drives.
 
-        The frequency of a drive is ``max |v'| / (pi (max v - min v))``: that of a sine, or a third
-        of the reciprocal of an edge. A contact excites the first resonance more than any drive.
+        The frequency of a drive is ``max |v'| / (pi (max v - min v))``: the frequency of a sine,
+        or a third of the reciprocal of an edge. A contact excites the first resonance more than
+        any drive.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
@@ -268,7 +269,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Balance | None:
         """Work of voltage and forces on the body against its exact response to the same loads.
 
-        The losses are the work on the exact response less its stored energy. The electrical part
+        The losses are the work on the exact response minus its stored energy. The electrical part
         needs the current of the body among the waveforms. The scale is the largest change of the
         stored energy, or its rounding error if nothing moves. With coarse ringing, the check ends
         when the last force on the body ends.

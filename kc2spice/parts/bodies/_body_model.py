@@ -69,7 +69,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
     A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
-    state to what order or tolerance, and over which band, it is reduced.
+    state order or tolerance, and the band of the reduction.
     """
 
     # classes of the reduced model over ranges of parameters, which the cache stores
@@ -84,8 +84,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def varied(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """Return :meth:`full` on the mesh of ``like``, a part with other values, moved to the
-        values of this part.
+        """Return :meth:`full` on the mesh of ``like``, a part with other values, with nodes moved
+        to the values of this part.
         """
         return self.full(part, scene, clock)
 
@@ -329,7 +329,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
 
 def loss_tangent(part: Part) -> float:
-    """Loss tangent of the dielectric in a body's damping, 0 if it states none."""
+    """Loss tangent of the dielectric in the damping of a body, 0 by default."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
@@ -340,7 +340,7 @@ def has_complex_constants(part: Part) -> bool:
 
 def damping_of(part: Part) -> Damping:
     """Damping of a body whose keys state it."""
-    damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not that of all bodies
+    damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
     return damping
 
 
@@ -351,7 +351,7 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
 
     Raises
     ------
-    UsageError : there is no resonance that determines the frequency.
+    UsageError : no resonance determines the frequency.
     """
     damping, facts = damping_of(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
@@ -377,7 +377,7 @@ def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """Build the full model of a body in its scene, None if its losses have no matrices."""
+    """Build the full model of a body in its scene, None if no matrices represent its losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)

@@ -38,7 +38,7 @@ from kc2spice.synthesis.realize import (
 )
 
 RATING_TEXT = (
-    "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
+    "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"
 )
 _MAX_NAME_LENGTH = 47  # letters of the names of scene and part in the name of a library
 
@@ -56,7 +56,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return its part number, or :meth:`scene_library` if it has none."""
+        """Return the part number, or :meth:`scene_library` without one."""
         scene_name = self.scene_library(part, scene)
         if not part.keys.number:
             return scene_name

@@ -1,4 +1,4 @@
-"""Ports of a linear part: those that a scene uses, their pins, rest, and names of results."""
+"""Ports of a linear part: the used ports, their pins, their state at rest, and result names."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ZERO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stif
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """A part with typed ports, of which a scene uses those that something names.
+    """A part with typed ports; a scene uses the ports that other parts or probes name.
 
     The :meth:`ports` of a subclass follow from its keys.
     """
@@ -61,7 +61,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return self.title
 
     def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:
-        """Largest voltage [V] between electrodes for its material, None if not known."""
+        """Largest voltage [V] between electrodes for the material, None if unknown."""
         return None
 
     def rated_voltage(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
@@ -71,7 +71,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
-        """The ports that the scene needs: electrical ones, and others that something names.
+        """The ports that the scene needs: electrical ports, and other ports that a part or probe
+        names.
 
         Return all ports if the body is the only part, because the scene only exports the body. In
         an export, return all declared ports.
@@ -182,7 +183,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
-        """Modulus [Pa] of the half-space under a contact, None if the body is none."""
+        """Modulus [Pa] of the half-space under a contact, None if the body is not a half-space."""
         return None
 
 

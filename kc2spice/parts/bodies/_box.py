@@ -24,7 +24,7 @@ MIN_RELATIVE_WIDTH = 1e-3  # relative width of a range
 
 @dataclass(frozen=True)
 class VariedKey:
-    """A key below the part (``layers[1].thickness``), its SI unit, the part's value, its range.
+    """A key of the part (``layers[1].thickness``) with SI unit, value and range.
 
     The range may begin at zero.
     """
@@ -53,8 +53,8 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
     Raises
     ------
-    UsageError : too many, a key that the part does not have or that is no number, a range that is
-        none or without the part's value, values that the part cannot have.
+    UsageError : too many keys, a key that the part does not have or that is not a number, an empty
+    range or a range without the value of the part, or invalid values.
     """
     ranges = part.parameter_ranges
     where = f"{part.name}.{RANGES_KEY}"
@@ -98,7 +98,7 @@ def make_varied(
 
     Raises
     ------
-    UsageError : a range that is none, or without the value.
+    UsageError : an empty range, or a range without the value.
     """
     low, high = min(ends), max(ends)
     signed = low * high > 0 or (from_zero and low == 0)
@@ -161,7 +161,7 @@ def _split_key(key: str) -> list[str | int]:
 
 
 def _unknown_key(part: Part, key: str, where: str) -> UsageError:
-    """Make the error of a key that is no number of the part."""
+    """Make the error of a key that is not a number of the part."""
     known = [join_path(path) for path, _ in list_keys(type(part.keys))]
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
@@ -190,7 +190,7 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
 
     Raises
     ------
-    UsageError : there is no such key, or it is no number that can vary.
+    UsageError : the key does not exist, or is not a number that can vary.
     """
     result: Any = part.keys
     unit = ""

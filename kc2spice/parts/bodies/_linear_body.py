@@ -197,7 +197,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
 
     def given_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
-        """Ports of a model whose temperatures are given, and not their heat flows; none by default.
+        """Ports with prescribed temperatures instead of heat flows; none by default.
 
         The certificate of the model holds for the responses to these temperatures.
         """
@@ -238,7 +238,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 yield Check(name, max(changes), item.coarse)
 
     def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
-        """Error estimate of its mesh, or why there is none."""
+        """Error estimate of the mesh, or the reason why it is missing."""
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
@@ -282,8 +282,8 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
 def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     """``V / I`` (frequencies,) [Ohm] at the first electrical port, if both were recorded.
 
-    The result is also None if the body supplies the circuit, because V / I is then not its own
-    impedance.
+    The result is also None if the body supplies the circuit, because V / I is then not the
+    impedance of the body.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")

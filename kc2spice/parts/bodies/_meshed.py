@@ -1,9 +1,9 @@
 """Bodies whose stress and field a run computes on their mesh if the key ``fields`` is set.
 
-The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.fields`) gives
-the largest principal stress and field of every material beside its limit, a VTU file of the instant
-of the largest stress and a picture of the body at that instant. An ``ac`` analysis also gives the
-shapes of the lowest modes.
+The full model moves under the port waveforms of the run (:mod:`kc2spice.bodies.fields`). The
+results are the largest principal stress and field of every material with their limits, and a VTU
+file and a picture of the body at the instant of the largest stress. An ``ac`` analysis also gives
+the shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ class RecoveredFields:
 
     @property
     def worst_stress(self) -> Extreme:
-        """The stress with the largest ratio to its limit; without limits the largest stress."""
+        """The stress with the largest ratio to its limit, or the largest stress if there are no
+        limits."""
         stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -268,7 +269,7 @@ def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
 
 
 class BondedBody(MeshedBody[FieldKeysT]):
-    """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
+    """A body of blocks: a subclass derives their :meth:`structure` from its keys."""
 
     discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], BondedBlocks]

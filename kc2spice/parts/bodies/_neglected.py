@@ -37,10 +37,10 @@ class Envelope:
 
     Attributes
     ----------
-    air : mass [kg] of the air that moves with it, None if no formula exists for its shape.
-    mass : of the body [kg], None before its mesh is made.
+    air : mass [kg] of the air that moves with the body, None if no formula exists for its shape.
+    mass : mass of the body [kg], None before the mesh is made.
     surface : [m^2], surface of its bounding box if the shape is a mesh of the user.
-    layers : that are glued on one another, from the bottom up; a bolted or own body has none.
+    layers : glued layers from the bottom up; bodies with bolts and mesh files have none.
     length : [m] along which these layers are coupled: half the diameter of a disc.
     electrode : area [m^2] of one face.
     """
@@ -95,7 +95,8 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 def box_envelope(sides: Sequence[float]) -> Envelope:
     """Envelope of a box, or of a cylinder by its radius and height [m].
 
-    The moved air is at most that of a disc as large as the largest face, ``8/3 rho a^3``.
+    The mass of the moved air is at most ``8/3 rho a^3``, as for a disc of the size of the largest
+    face.
     """
     if len(sides) == 2:
         radius, height = sides
@@ -136,7 +137,8 @@ def neglected_effects(
 
 
 def _describe_air(envelope: Envelope) -> str:
-    """Size of the air's load: a mass m_a on m lowers a frequency by ``1 - (1 + m_a/m)^-1/2``."""
+    """Size of the air's load: a mass m_a added to m lowers a frequency by ``1 - (1 +
+    m_a/m)^-1/2``."""
     if envelope.air is None:
         return NOT_ESTIMATED_TEXT
     if envelope.mass is None:

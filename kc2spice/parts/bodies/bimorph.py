@@ -10,7 +10,8 @@ them. A positive voltage at the anode bends the tip up: layers above the middle 
 contract, those below to stretch.
 
 * *series*: anode on top, cathode at the bottom, all between floating;
-* *parallel*: the levels of electrodes are anode and cathode by turns, the top one anode.
+* * *parallel*: the levels of electrodes are alternately anode and cathode, and the top is an
+anode.
 """
 
 from __future__ import annotations
@@ -56,9 +57,9 @@ class BimorphLayer(Section):
 class BimorphKeys(FieldKeys):
     """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
     (on knife edges under both ends), *free*, or *quarter*: clamped at x = 0 and y = 0, with mirror
-    planes at the other sides, a quarter of a plate held all round and of its loads. ``tip_mass``
-    is spread over the end face. ``points`` are further ports on the centre line of the top (of the
-    whole plate), by distance from the clamp.
+    planes at the other sides: a quarter of a plate clamped along all edges. ``tip_mass`` is spread
+    over the end face. ``points`` are further ports on the centre line of the top (of the whole
+    plate), by distance from the clamp.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam")
@@ -113,7 +114,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
 
     Raises
     ------
-    UsageError : a material that does not exist, wiring without a piezoelectric layer.
+    UsageError : a material does not exist, or wiring is stated without a piezoelectric layer.
     """
     beam = validate(BimorphKeys, keys, where)
     materials = [

@@ -156,7 +156,8 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """A poling that turns about an axis with its place, or one of each element from a CSV file.
+    """A poling that turns about an axis with the position, or a poling per element from a CSV
+    file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an
@@ -174,7 +175,7 @@ class PolingKeys(Section):
 
     @property
     def contradiction(self) -> str:
-        """Reason why the keys state no poling, empty if they state one."""
+        """Reason why the keys state no poling; empty if they state a poling."""
         if (self.direction is None) == (self.file is None):
             return "state direction or file: one of them"
         if self.file and self.model_fields_set != {"file"}:
@@ -366,7 +367,7 @@ def device(
 def _read_polings(
     keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
-    """Read the axes of each element, by the group that has a file of its poling."""
+    """Read the axes of each element from the CSV files of the groups."""
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
@@ -415,7 +416,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 
     Raises
     ------
-    UsageError : an axis beside that of an axisymmetric mesh.
+    UsageError : an axis that differs from the axis of an axisymmetric mesh.
     """
     if group in keys.axes:
         turned = keys.axes[group].apply(plain)

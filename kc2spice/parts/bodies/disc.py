@@ -7,8 +7,8 @@
     support = "free"                            # clamped, simply_supported, { node = "13 mm" }
 
 Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode), mechanical port
-``centre``: mean axial displacement of a small patch on top, upwards. Left out: glue unless it is a
-layer, silver, solder and wires, the air.
+``centre``: mean axial displacement of a small patch on top, upwards. Neglected: glue (unless it is
+a layer), silver, solder, wires and air.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Node(Section):
 class DiscKeys(FieldKeys):
     """``wiring`` matters with more than one ceramic layer: ``parallel`` connects every second
     electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and the highest
-    and leaves those between floating."""
+    electrode; the electrodes between them float."""
 
     layers: tuple[DiscLayer, ...] = Field(min_length=1)
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"

@@ -2,8 +2,8 @@
 
 Touching pieces are bonded. The bolt is bonded to both masses along its thread, but not to the
 rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
-``back``: mean axial displacement of the end faces, upwards, towards the front. Left out: the state
-that the preload leaves in the ceramic, contact compliance, the electrodes' metal.
+``back``: mean axial displacement of the end faces, upwards, towards the front. Neglected: the
+effect of the preload on the ceramic, contact compliance, and the metal of the electrodes.
 """
 
 from __future__ import annotations
@@ -167,7 +167,8 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
 
 
 def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
-    """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
+    """Rings from z = 0 upwards, the front mass above, the back mass below, and the bolt in their
+    holes."""
     result: list[Block] = []
 
     def add(

@@ -58,7 +58,7 @@ class Matrices(LinearBody[MatricesKeys]):
     ) -> Mapping[str, tuple[float, ...]]:
         """Directions that the sidecar states by ``dof`` or ``axis``.
 
-        A port by a column of B has none.
+        A port that is a column of B has no direction.
         """
         *_, sidecar = locate_model(*self._source(part, scene))
         result = {}

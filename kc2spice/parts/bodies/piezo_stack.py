@@ -56,7 +56,7 @@ DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio o
 RINGING, UNDAMPED = 4e-3, 2e-4
 # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
 LOW_KICK_FACTOR = 0.03
-# The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
+# The same for a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
 OVERSHOOT = 2.0  # a sudden load causes twice the static displacement of an elastic body
@@ -247,7 +247,7 @@ class PiezoStack(MeshedBody[Stack]):
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
+            # Parts other than sources at the anode may slow down any kick: 0.67 m/s behind an
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
@@ -291,8 +291,8 @@ class PiezoStack(MeshedBody[Stack]):
     def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
         """Return the stated reduction, or a default.
 
-        The default of the paper's chip is the paper's order. That of another stack is a tolerance
-        over a band in proportion to the reciprocal height.
+        The default of the paper's chip is the paper's order. The default of other stacks is a
+        tolerance over a band in proportion to the reciprocal height.
         """
         specified = part.keys.rom or scene.rom
         if not specified.is_default:
@@ -405,7 +405,7 @@ def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
 
 
 def _retracts_first(part: Part[Stack]) -> bool:
-    """Whether its pulse draws the top face back before it rises."""
+    """Whether the pulse moves the top face down before it rises."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
@@ -460,7 +460,7 @@ def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
 
 
 def ring_names(count: int) -> list[str]:
-    """Return the names of so many rings, the centre node first."""
+    """Return the names of ``count`` rings, the centre node first."""
     return list(map("ring{}".format, range(count)))
 
 

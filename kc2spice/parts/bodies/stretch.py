@@ -1,16 +1,16 @@
 """Stretching force of beams and plates with fixed edges: bending lengthens and stiffens them.
 
-Of a beam of length l whose ends stay where they are, ``e = int w'^2 dx / 2`` is how much longer it
-is when bent, and ``stiffness e^2 / 2 + tension e`` the energy of that: stiffness = E A / l (S. D.
-Senturia, Microsystem Design, 2001, chapter 10). The deflection is known by the means w_k of a row
-of equal strips of width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) -
-(w_k+2 - w_k-1)) / (12 d)``, exact for cubics, and beyond a clamp w is its mirror image.
+For a beam of length l with fixed ends, ``e = int w'^2 dx / 2`` is the elongation by bending, and
+``stiffness e^2 / 2 + tension e`` is its energy: stiffness = E A / l (S. D. Senturia, Microsystem
+Design, 2001, chapter 10). The deflection is known by the means w_k of a row of equal strips of
+width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12
+d)``, exact for cubics, and beyond a clamp w is its mirror image.
 
-Of a plate held all round, with rows of patches as its face, it is the same with ``e = int |grad
-w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger, J. Appl. Mech.
-22 (1955) 465, who leaves the second invariant of the strains in the plane out. The squares of means
-lack a twelfth of the squared differences between rows. At a mirror plane w is even as at a clamp,
-so a quarter of a plate has its own length, width and stiffness.
+For a plate clamped along all edges, with rows of patches as its face, the same holds with ``e =
+int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger, J.
+Appl. Mech. 22 (1955) 465, who neglects the second invariant of the strains in the plane. The
+squares of means lack a twelfth of the squared differences between rows. At a mirror plane w is
+even as at a clamp, so a quarter of a plate has its own length, width and stiffness.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from kc2spice.scene.parttype import register
 
 class StretchKeys(Section):
     """``a`` is a beam with a row of patches, clamped at both ends, or at least three ports; or a
-    plate held all round with ``rows`` of them, one row after the other.
+    plate clamped along all edges with ``rows`` of patches, one row after the other.
     """
 
     a: str | tuple[str, ...] = Field(

@@ -11,7 +11,8 @@ from kc2spice.core.quantities import Current, Length, Section, Time, si
 
 
 class Control(Section):
-    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+    """PID with clamped output: equal currents in both coils, with opposite sign in the lower coil
+    (paper 2.4)."""
 
     setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere")
     kp: Annotated[float, si("A/m")] = Field(

@@ -38,8 +38,8 @@ Function = Callable[[float, Mapping[str, float]], float]
 class ControllerKeys(Section):
     """``function(time, inputs) -> output``, called every ``period``, inputs and output in SI.
 
-    ``output`` is a voltage [V] or a current [A] out of ``out``; it holds from ``delay`` after the
-    sample on.
+    ``output`` is a voltage [V] or a current [A] out of ``out``; it changes at the time ``delay``
+    after the sample.
     """
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")

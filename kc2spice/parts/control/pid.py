@@ -143,10 +143,10 @@ def pid_subcircuit(
     """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
 
     The output stage of amplifiers measures with a resistor that gives 10 V at the current limit, at
-    most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that
-    limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
-    the output stage, the output of the controller is ``command``, with 100 V for each ampere of the
-    set current.
+    most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives the
+    current limit through the ``load`` [Ohm] of the coils with a margin for current changes.
+    Without the output stage, the output of the controller is ``command``, with 100 V for each
+    ampere of the set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":

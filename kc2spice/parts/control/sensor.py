@@ -61,10 +61,10 @@ def sensor_declaration(keys: SensorKeys) -> Declaration:
         states={"followed": f"{2 * math.pi:.11g}*bandwidth*({VOLTS_PER_METRE}*x - followed)"},
         outputs={"out": f"{DISPLACEMENT.factor:g}*followed + offset"},
         given=(
-            Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
+            Param("bandwidth", keys.bandwidth, "Hz", "bandwidth of the reading", 0.0),
             Param("offset", keys.offset, "m", "added to the reading"),
         ),
-        rating="no range: compare the reading with that of your sensor",
+        rating="no range; compare the reading with the range of your sensor",
         validity="linear, one pole, constant temperature",
         base="ref",
         metered=False,
@@ -109,10 +109,10 @@ dc = "1 um"
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
-            # white up to the bandwidth, over the noise voltage of an ohm
+            # white noise up to the bandwidth, divided by the noise voltage of 1 Ohm
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
-                "* noise by its density: that of an ohm at 27 C times a gain",
+                "* noise of 1 Ohm at 27 C times a gain",
                 Element.of("Rnoise", "drawn", "ref", "1"),
                 Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
             ))  # fmt: skip

@@ -1,6 +1,7 @@
 """Resonators by the Butterworth-Van Dyke circuit, as in data sheets of ceramics and crystals.
 
-A clamped capacitance ``c0`` lies beside one series branch ``lm``, ``cm``, ``rm`` for each mode:
+A clamped capacitance ``c0`` is in parallel with one series branch ``lm``, ``cm``, ``rm`` for each
+mode:
 
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
@@ -143,7 +144,7 @@ class ResonatorNetlist:
 
 
 class NumberedPart(PartType[KeysT]):
-    """A part whose library has the name of its part number."""
+    """A part whose library is named after its part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         number = getattr(part.keys, "number", None)
@@ -320,7 +321,7 @@ def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
 
 
 def tolerance_note(value: float, tolerance: float | None) -> str:
-    """Range of a parameter by its tolerance, for the head of a netlist; empty without one."""
+    """Range of a parameter by its tolerance, for the netlist header; empty without a tolerance."""
     if tolerance is None:
         return ""
     low, high = (abbreviate(value * (1 + sign * tolerance)) for sign in (-1, 1))

@@ -1,4 +1,4 @@
-"""Unknowns of a circuit from the values of a data sheet, which may be more than are needed.
+"""Unknowns of a circuit from the values of a data sheet, of which some may be redundant.
 
 Each value is a function of the unknowns. Unknowns and values are positive, so that the equations
 are solved in logarithms: with ``x = ln(unknowns)`` and the tolerance t of each value,
@@ -57,7 +57,7 @@ class StatedValues:
 
         Raises
         ------
-        UsageError : too few values, values that contradict each other, or that no circuit has.
+        UsageError : too few values, or values that contradict each other or match no circuit.
         """
         self._require_computable()
         self._require_enough()
@@ -83,7 +83,8 @@ class StatedValues:
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
     def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
-        """Derivatives (unknowns,) of the logarithm of a value by those of the unknowns."""
+        """Derivatives (unknowns,) of the logarithm of a value with respect to the logarithms of
+        the unknowns."""
         steps = DIFFERENCE_STEP * np.eye(x.size)
         rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
         return np.array(rows) / (2 * DIFFERENCE_STEP)
@@ -155,7 +156,7 @@ class StatedValues:
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
-        """Refuse values that determine the circuit but that no circuit has."""
+        """Reject values that determine the circuit but match no circuit."""
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._residual(key, x)) for key in self.stated}
@@ -175,10 +176,10 @@ class StatedValues:
         )
 
     def _require_agreement(self, x: np.ndarray) -> None:
-        """Refuse values that no circuit has within their tolerances.
+        """Reject values that match no circuit within their tolerances.
 
-        A value that the others imply with the derivatives ``S_k`` may differ from the stated one by
-        ``t + sum |S_k| t_k``.
+        If ``S_k`` are the derivatives with respect to the other values, the implied value may
+        differ from the stated value by ``t + sum |S_k| t_k``.
         """
         redundant = {}
         for key in self.stated if len(self.stated) > x.size else ():
@@ -193,20 +194,20 @@ class StatedValues:
         raise self._contradiction(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Whether the value that others imply differs by more than all tolerances."""
+        """Whether the value implied by the others differs by more than all tolerances."""
         implied = sum(share * self._residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
         return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
 
     def _correction(self, key: str) -> float:
-        """Difference of a value from the one that all others imply, in logarithms."""
+        """Difference between the logarithms of a value and of the value implied by all others."""
         return abs(self._residual(key, self._without(key)._fitted))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
 
         The search begins at unknowns that are :data:`RESTART_FACTOR` times larger or smaller, one
-        each.
+        unknown at a time.
         """
         steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
@@ -229,7 +230,7 @@ class StatedValues:
         return self._logarithm(key, x) - self._logarithm(key, y)
 
     def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Derivatives of the value that these values imply for ``key``, by each of them."""
+        """Derivatives of the implied value of ``key`` with respect to each of these values."""
         weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
         slopes = np.array([self._gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights

@@ -46,7 +46,7 @@ FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, start of the iteration without state
 
 
 def _wrap_in_list(value: object) -> object:
-    """One value as a list of one."""
+    """One value as a list with one entry."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(
@@ -60,7 +60,8 @@ Modes = BeforeValidator(_wrap_in_list)
 
 
 class BvdKeys(RatedKeys):
-    """Any values of the sheet that determine the circuit; further values must agree with these.
+    """Any values of the data sheet that determine the circuit; further values must agree with
+    them.
 
     A part with several modes has lists of equal length, one entry for each mode.
     """
@@ -293,7 +294,8 @@ def _relations(modes: int, low: float) -> dict[str, Relation]:
 
 
 def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
-    """Unknowns where the iteration begins: stated values, otherwise those of a usual ceramic."""
+    """Initial unknowns of the iteration: stated values, otherwise the values of a usual
+    ceramic."""
     ratio = np.full(modes, START_RATIO)
     if keys.keff:
         ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
@@ -335,7 +337,7 @@ def _key_words(keys: BvdKeys, key: str, value: float) -> str:
 
 
 def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
-    """Parameter of one mode. The coupling of several modes is that of each mode beside c0."""
+    """Parameter of one mode. With several modes, the coupling refers to each mode with c0."""
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
@@ -344,7 +346,7 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
 
 
 def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Equations of one mode from its parameters to the elements that are no parameters."""
+    """Equations of one mode for the elements that are not parameters."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
     result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"

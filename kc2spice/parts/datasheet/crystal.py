@@ -31,8 +31,8 @@ SHUNT_CAPACITANCE = 3e-12  # F, typical of crystals
 
 
 class CrystalKeys(RatedKeys):
-    """``f = fs sqrt(1 + c1 / (c0 + cl))`` with the load capacitance ``cl``, without it the series
-    resonance ``fs`` itself. Two of ``c1``, ``l1`` or of ``r1``, ``q`` must agree."""
+    """``f = fs sqrt(1 + c1 / (c0 + cl))`` with the load capacitance ``cl``, and the series
+    resonance ``fs`` without it. Two of ``c1``, ``l1`` or of ``r1``, ``q`` must agree."""
 
     f: Frequency = Field(
         gt=0,
@@ -135,7 +135,7 @@ scale = "linear"
 
 
 def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
-    """Frequency [Hz] in series with a load capacitance [F], at which both are in resonance."""
+    """Resonance [Hz] of the crystal in series with a load capacitance [F]."""
     shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
     return circuit.fs[0] * math.sqrt(1 + shift)
 

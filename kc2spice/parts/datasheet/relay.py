@@ -67,8 +67,8 @@ class Timing:
 def solve_timing(part: Part[RelayKeys]) -> Timing:
     """Inductance and time constant by which a relay at its rated voltage takes its operate time.
 
-    The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then is at
-    the middle of its way after ``ln 2`` of its time constants.
+    The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then
+    reaches the middle of its travel after ``ln 2`` time constants.
     """
     keys = part.keys
     if not keys.release < keys.pick_up < keys.voltage:

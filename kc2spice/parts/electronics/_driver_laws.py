@@ -30,7 +30,7 @@ THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 2
 def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
     """Declare the amplifier of gain 20 between ``rail`` and ``sink`` [V].
 
-    The command's divider and the feedback's both divide by 20; the feedback is 20 kOhm from
+    The dividers of command and feedback both divide by 20; the feedback is 20 kOhm from
     ``drive`` to ``ref``.
     """
     return Declaration(
@@ -142,7 +142,7 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
     """Return the voltages of nodes and of ``command`` to ``ref``.
 
-    That of a node is a branch with a current, and ``v_NAME`` without one.
+    The voltage of a node is that of its branch with a current, or ``v_NAME`` without a branch.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)

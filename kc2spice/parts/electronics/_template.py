@@ -122,7 +122,7 @@ class TemplatePart(PartType[KeysT]):
 
 
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
-    """Keys, or those with these ``names``, as parameters of a netlist, all above zero."""
+    """Keys (by default all, otherwise ``names``) as positive parameters of a netlist."""
     return tuple(
         positive_parameter(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in list_schema_keys(type(keys))
@@ -164,7 +164,8 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-RAIL_MARGIN = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol
+# relative margin of span and current, for the resistance of rails and errors of saved points
+RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
 )
@@ -191,7 +192,7 @@ def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vec
 
 
 def ends(*terminals: str) -> tuple[Terminal, ...]:
-    """Pins of a driver: ``command``, what it drives and ``ref``."""
+    """Pins of a driver: ``command``, the driven terminals and ``ref``."""
     driven = (Terminal(name, "V", "A", required=True) for name in terminals)
     return (Terminal("command", "V", "-"), *driven, Terminal("ref", "V", "A", "gnd"))
 
@@ -204,7 +205,7 @@ class Driver(TemplatePart[KeysT]):
     inner_node: ClassVar[str] = "drive"
     terminals: tuple[str, ...] = ("out",)
     fixed = ends("out")
-    validity = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
+    validity = "27 C (transistors: .options temp); no heating, ageing or failure"
     rating = (
         "voltage and current stay within its parameters; compare rms current and power with the "
         "data sheet of your devices"
@@ -233,7 +234,7 @@ class Driver(TemplatePart[KeysT]):
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Check]:
         """Whether its load drives the output of an amplifier, behind all resistance, beyond its
-        rails; the diodes of a bridge see to that themselves."""
+        rails; the diodes of a bridge prevent this."""
         name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
             low, high = self.rails(part)
@@ -250,8 +251,8 @@ class Driver(TemplatePart[KeysT]):
 
 
 class CoilDriver(Driver[KeysT]):
-    """A source of the current ``V(command) / 100 Ohm``, whose loop is made for the coils at its
-    terminals."""
+    """A source of the current ``V(command) / 100 Ohm``, whose control loop is designed for the
+    coils at its terminals."""
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
 
@@ -297,6 +298,6 @@ def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | N
 def rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
-    """``low <= volts <= high`` but for ``slack`` [V]; an edited deck may differ on purpose."""
+    """``low <= volts <= high`` within ``slack`` [V]; an edited deck may differ on purpose."""
     beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
     return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)

@@ -23,7 +23,7 @@ from kc2spice.scene.rows import Neglected, Vector
 class DiodeKeys(Section):
     """``i = IS (exp((v - RS i)/(N VT)) - 1)`` with junction capacitance, transit time, breakdown.
 
-    The defaults are those in common use for a 1N4148 (small signal, 100 V).
+    The defaults are common values of a 1N4148 (small signal, 100 V).
     """
 
     saturation_current: Current = Field(
@@ -50,7 +50,7 @@ class Diode(TemplatePart[DiodeKeys]):
     without_law = "the integrator does not converge where all diodes of a bridge block"
     noise = "shot noise, thermal noise in series at 27 C"
     rating = "it breaks through at bv; its largest current is in the diode's data sheet"
-    validity = "27 C, or what .options temp says; it does not heat up"
+    validity = "27 C, or the temperature of .options temp; no heating"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
     def design(

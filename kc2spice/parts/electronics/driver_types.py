@@ -237,7 +237,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
 
 def _ripple_frequency(carrier: float, constant: float) -> float:
-    """Frequency [Hz] of the last harmonic of a ripple that matters, whatever it acts behind."""
+    """Frequency [Hz] of the highest relevant harmonic of a ripple."""
     return RIPPLE_HARMONICS * carrier
 
 

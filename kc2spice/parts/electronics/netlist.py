@@ -221,13 +221,13 @@ def driver(
     known: Mapping[str, str],
     data: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Table of the one part that the key ``driver`` names, of a type ``known`` by a user's word.
+    """Table of the part that the key ``driver`` names; its type must be one of ``known``.
 
-    The first file of the scene's ``include`` is that of a netlist which names none.
+    A netlist part without a file uses the first file of the scene's ``include``.
 
     Raises
     ------
-    UsageError : not one driver, none of that type, no file.
+    UsageError : there is not exactly one driver, no driver of this type, or no file.
     """
     expected = "one table of " + ", ".join(known)
     if len(drivers) != 1:

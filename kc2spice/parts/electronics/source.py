@@ -65,7 +65,7 @@ class Kind(NamedTuple):
 
     @property
     def value_unit(self) -> str:
-        """Unit of the card's values; "" if it is the card's own."""
+        """Unit of the values of the card; "" for the default unit of the card."""
         return self.domain.value_unit(self.letter)
 
     @property
@@ -153,7 +153,7 @@ class SourceKeys(Section):
 
         Raises
         ------
-        UsageError : a value without the right unit, times that do not rise, an unreadable file.
+        UsageError : a value has the wrong unit, times do not increase, or a file is unreadable.
         """
         unit = self.unit
         if self.pulse is not None:
@@ -224,7 +224,7 @@ class Source(PartType[SourceKeys]):
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
-            kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
+            kinked = part.keys.kind == "displacement" and moves  # also a sine that starts later
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
         constant = part.keys.waveform(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())

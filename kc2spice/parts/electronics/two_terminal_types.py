@@ -1,4 +1,4 @@
-"""Linear elements between two pins: a table, one row each, from which their part types are made.
+"""Linear elements between two pins, and their part types, which follow from one table.
 
 A row states what the element stores or loses (:mod:`kc2spice.physics.declaration`). Keys, card,
 results, the law of the independent integrator and documentation follow from the row.
@@ -50,7 +50,8 @@ from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):
-    """An element: its one ``key`` with its unit, its energies ``stated``, its example's source."""
+    """An element: its ``key`` with unit, its ``stated`` energies, and the source of its
+    example."""
 
     name: str
     title: str
@@ -150,7 +151,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _unit(self) -> Number:
-        """Factor of an admittance in SI to one in amperes and volts of the pins."""
+        """Factor from an admittance in SI to amperes and volts of the pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 

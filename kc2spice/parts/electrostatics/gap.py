@@ -3,11 +3,11 @@
 The face is one port or a row of them, each a patch with its own displacement; x is the displacement
 of a patch upwards. The distance d is ``gap - x`` to an electrode above the patch, and ``gap + x``
 to an electrode below. Of each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity
-eps0 A / d``; with ``fringing`` that of a strip of width w and thickness t instead, per length
-``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T.
-Fokkema, Integration 2 (1984) 85). The stop is that of ``_stop`` beyond ``travel``.
+eps0 A / d``; with ``fringing`` it is the capacitance of a strip of width w and thickness t, per
+length ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs,
+J. T. Fokkema, Integration 2 (1984) 85). The stop acts beyond ``travel``, see ``_stop``.
 
-The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
+The film of gas is a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
 (1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
 term a damper c in series with the spring of the trapped gas k, moved by the patches' share of the
 term::
@@ -15,9 +15,9 @@ term::
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
 
-The largest ``branches`` of them have their spring, the dampers of all others are one: as many as
-keep damping and force within a tolerance up to the highest frequency of the scene. All dampers grow
-as ``(gap / mean d)^3`` when the gap closes.
+The largest ``branches`` terms have a spring, and the dampers of all other terms form one damper.
+The number of branches keeps damping and force within a tolerance up to the highest frequency of
+the scene. All dampers grow as ``(gap / mean d)^3`` when the gap closes.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
-PATCH_PREFIX = "patch"  # prefix of the ports of a body that are one row of patches
+PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
 # error of the force over the displacement at an operating point, due to iterations
 ITERATION_ROUNDING = 1e-9
 # change of the capacitance, relative; above rounding errors of ngspice at rest
@@ -297,8 +297,8 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
     """Larger relative error of damping and force of a series with ``branches`` springs.
 
-    The error is computed at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j w
-    c / k)``, one without a spring ``j w c``. The damping is the imaginary part.
+    The error is computed at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j
+    w c / k)``, or ``j w c`` without a spring. The damping is the imaginary part.
     """
     if not frequency:
         return 0.0

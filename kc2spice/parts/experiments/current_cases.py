@@ -130,7 +130,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scaled_wave(f"{n}.out")}
         for k, force in enumerate(_force_names(part, build)):
-            case = f"{fed.name} {k}"  # no part has a blank in its name
+            case = f"{fed.name} {k}"  # names of parts contain no blanks
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))

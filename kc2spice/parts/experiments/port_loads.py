@@ -44,7 +44,7 @@ CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
-    """A unit load on each port in turn, all outputs, over a linear range of frequencies."""
+    """Responses of all outputs to a unit load on each port, over a linear range of frequencies."""
 
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
     stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
@@ -190,7 +190,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         results: dict[str, laws.Reading] = {}
         still = constant_waveform(0.0)
         for load in (*rings, "anode"):
-            name = f"{body.name} {load}"  # no part has a blank in its name
+            name = f"{body.name} {load}"  # names of parts contain no blanks
             result.append(replace(law, name=name))
             volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":

@@ -29,7 +29,7 @@ def wire_values(keys: ConductorKeys) -> tuple[float, float]:
 
 
 def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Resistance at a ``temperature`` [K] over ambient relative to the stated one."""
+    """Resistance at a ``temperature`` [K] over ambient, relative to the stated resistance."""
     coefficient, reference = wire_values(keys)
     values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
     return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))
@@ -42,7 +42,7 @@ def balance_heat(
     currents: Mapping[str, np.ndarray],
     waves: Waveforms,
 ) -> Iterator[Balance]:
-    """Yield the balance of the heat of the wire and of the heat flow through the pin.
+    """Yield the check that the heat of the wire equals the heat flow through the pin.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def check_temperature(
 
 
 def heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
-    """Return rise, heat and largest resistance of the coils, none without their temperature."""
+    """Return rise, heat and largest resistance of the coils; empty without their temperature."""
     if f"{prefix}.{TEMPERATURE}" not in waves or "time" not in waves:
         return {}
     rise = waves[f"{prefix}.{TEMPERATURE}"]

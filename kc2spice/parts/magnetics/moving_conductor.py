@@ -198,8 +198,8 @@ def _declare(
 def declare(part: Part[Moving], model: Ladder) -> Declaration:
     """Declare the coenergy ``i' L i / 2`` and the losses.
 
-    The couplings are power series of the height. Those of a magnet, which has no loops, are
-    couplings per tesla of remanence.
+    The couplings are power series of the height. The couplings of a magnet, which has no loops,
+    are per tesla of remanence.
     """
     keys, coils = part.keys, list(map(_current_name, part.keys.coils))
     eddies = _eddy_names(model.rates.size)
@@ -235,7 +235,7 @@ MovingT = TypeVar("MovingT", bound=Moving, default=Moving)
 class MovingBody(DeclaredPart[MovingT]):
     """A body that moves in the field of coils and magnets."""
 
-    results_of_model = True  # as many loops as it has
+    results_of_model = True  # as many loops as the model has
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
@@ -309,7 +309,7 @@ class MovingBody(DeclaredPart[MovingT]):
         """Build the loops and couplings of the body.
 
         The ``full`` model has more loops of more rings, up to twice the highest frequency, and
-        couplings of a closer fit.
+        more accurate couplings.
         """
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
@@ -461,7 +461,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Return the loops with the error of their rings.
 
         The error is of second order in the size of a ring, in proportion to the reciprocal of their
-        number. The change by finer rings is part of the error as well.
+        number. The change by finer rings is also part of the error.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)

@@ -55,7 +55,7 @@ class MovingMagnetKeys(Magnetisation, Moving):
 def demagnetising_factor(inner: float, outer: float, height: float) -> float:
     """Mean (magnetometric) demagnetising factor N of a ring or cylinder along its axis.
 
-    The mean field of the currents on its surfaces is ``(1 - N)`` times that of a very long one.
+    The mean field of its surface currents is ``(1 - N)`` times the field of a very long magnet.
     """
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:

@@ -22,8 +22,8 @@ from kc2spice.scene.parttype import register
 
 class ReluctanceKeys(ConductorKeys, _stop.StoppedCoordinate):
     """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
-    ``gaps flux^2 / (2 MU_0 area)``. Of a permanent magnet of length l and area A, ``magnet`` is
-    ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.
+    ``gaps flux^2 / (2 MU_0 area)``. For a permanent magnet of length l and area A, ``magnet`` is
+    ``remanence l / (MU_0 mu_r)`` and its contribution to ``core`` is ``l / (MU_0 mu_r A)``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")

@@ -69,8 +69,8 @@ from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
-COLD = "coils at the temperature of their data, nothing heats up"
-HOT = "resistances linear in the temperature, which both coils have in common"
+COLD = "coils at the temperature of their data, without heating"
+HOT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 DEFAULT_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
 REFINEMENT_RATIO = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
@@ -103,7 +103,7 @@ class Coils(ConductorKeys, Catch):
     )
 
 
-# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
+# One current i through both coils, i2 = i and i1 = -i, as in the control loop: functions of
 # height, by powers of i, each the sum of the table's coefficients times these weights.
 SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
@@ -151,9 +151,9 @@ def coils_subcircuit(
 ) -> Subcircuit:
     """The coils and the force they put on the sphere's node ``v``.
 
-    ``apart`` between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF. Otherwise
-    both are resistors between ``drive`` and ``ret``, the lower one reversed: three functions of
-    height instead of six, and the same force. Pins and law are those of
+    ``apart``: coils between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF.
+    Otherwise both coils are resistors between ``drive`` and ``ret``, the lower coil reversed:
+    three functions of height instead of six, and the same force. Pins and law are those of
     :func:`kc2spice.physics.coils.declare_coils`.
 
     ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
@@ -166,7 +166,9 @@ def coils_subcircuit(
     stated = replace(
         declared,
         given=tuple(
-            positive_parameter(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
+            positive_parameter(
+                f"resistance_{coil}", float(ohm), "Ohm", f"resistance of the {coil} coil"
+            )
             for coil, ohm in zip(COIL_NAMES, table.resistance, strict=True)
         ),
         validity=f"sphere's centre from {low:g} to {high:g} {DISPLACEMENT.pin_unit}, "
@@ -215,7 +217,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (*ends, *thermal)
 
     def at_rest(self, part: Part[Coils], scene: WiredScene) -> Rest:
-        """Return the clamps of all pins with a path except the pin of heat, which has none."""
+        """Return the clamps of all pins with a path, except the pin of heat, which has no path."""
         clamps = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in clamps if HEAT not in path))
 
@@ -618,9 +620,11 @@ def interpolation_error(table: EMTable, current: float) -> float:
 
     The force is the largest one up to ``current`` [A] in both coils.
 
-    A spline through every second height misses the others by 16 times that once its order shows;
-    an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
-    or less of a fall where every fourth height shows less, and none where these are too few.
+    With twice the spacing of heights, the error of a fine spline is 16 times larger. Measured
+    ratios are at least 11 (the paper's magnets with 9 positions). The estimate is the error of a
+    spline through every second height divided by a ratio of at most 8. The ratio is smaller if the
+    error of a spline through every fourth height is less than 8 times larger, and 1 with too few
+    heights.
     """
     values = table.coefficients
     largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())

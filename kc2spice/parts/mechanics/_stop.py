@@ -1,14 +1,14 @@
-"""The stop of a moving plate, comb or armature: a spring that gives back a part of a strike.
+"""The stop of a moving plate, comb or armature: a spring that returns a part of the impact energy.
 
 Beyond ``travel`` its force at the indentation d and the speed v, which d grows with, is::
 
     F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
     loss = (1 - restitution^2) / (1 + restitution^2)
 
-Without ``damping`` what strikes it faster than ``slow`` meets a spring of ``1 + loss`` times the
-stiffness on its way in, and of ``1 - loss`` times on its way out, whatever its mass: it leaves with
-the energy ``restitution^2``, and what is slower comes to rest (O. R. Walton, R. L. Braun, J. Rheol.
-30 (1986) 949). The damping is that of K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440.
+Without ``damping``, a mass faster than ``slow`` meets ``1 + loss`` times the stiffness on its way
+in, and ``1 - loss`` times the stiffness on its way out. For any mass, the share ``restitution^2``
+of the energy remains. Slower masses come to rest (O. R. Walton, R. L. Braun, J. Rheol. 30 (1986)
+949). The damping is that of K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440.
 """
 
 from typing import Annotated

@@ -42,11 +42,12 @@ class Surface:
     """Surface of a part in a contact: its pins there and their distance from the axis [m].
 
     ``ports`` give the position in um and receive the force. The force on a rigid part acts on the
-    ``velocity`` pin instead. ``radius`` [m] is that of a sphere, None for a plane. ``sectors`` is
-    the number of symmetry sectors that a stiffness per sector stands for. A port that is a patch of
-    pressure has its radius ``patch`` [m], and its ``compliance`` under a basis of pressure, which
-    it follows within ``pace`` [s]. ``elastic`` is the part whose port ``patch`` a rigid surface
-    carries. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
+    ``velocity`` pin instead. ``radius`` [m] is the radius of a sphere, None for a plane.
+    ``sectors`` is the number of symmetry sectors if the stiffness is per sector. A port
+    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under a
+    pressure basis, with the response time ``pace`` [s]. ``elastic`` is the part whose port
+    ``patch`` a rigid surface carries. ``modulus`` [Pa] is the indentation modulus if the surface
+    is a half-space.
     """
 
     part: str
@@ -119,7 +120,7 @@ def find_surface(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) 
 def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
     """Gap [m] at each distance under a sphere that touches the axis: ``R - sqrt(R^2 - r^2)``.
 
-    Written as ``r^2 / (R + sqrt(R^2 - r^2))``, which does not cancel.
+    The form ``r^2 / (R + sqrt(R^2 - r^2))`` avoids cancellation.
     """
     r = np.asarray(distance, dtype=float)
     return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
@@ -205,9 +206,7 @@ class Pair:
 
     @cached_property
     def deepest_penetration(self) -> Penetration:
-        """The largest indentation that a part of the scene can cause, or that of the part that
-        moves side ``b``.
-        """
+        """Largest indentation that a part of the scene, or the part at side ``b``, can cause."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         result = [Penetration(0.0, "its weight")]
@@ -218,7 +217,8 @@ class Pair:
 
     @property
     def starts_moving(self) -> bool:
-        """Whether one side starts with a prescribed velocity, or each may; no ceiling does."""
+        """Whether one side starts with a prescribed velocity, or both sides may; a ceiling never
+        moves."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     def forces(self, waves: Waveforms) -> np.ndarray:
@@ -233,10 +233,11 @@ class Pair:
 
         A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
         sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove
-        of opening angle g both flanks are approached by ``s x``, ``s = sin(g/2)``, and push along
-        the axis with ``s`` of their force: the stiffness is ``2 s^(1 + power)`` times that of one,
-        the damping that of their closing speed ``s x'``. Each carries ``F / (2 s)``, so that
-        friction along the groove is ``1 / s`` times its coefficient.
+        of opening angle g, the indentation of both flanks is ``s x``, ``s = sin(g/2)``, and the
+        part ``s`` of their force acts along the axis. The stiffness is ``2 s^(1 + power)`` times
+        the stiffness of one flank, and the damping depends on the closing speed ``s x'``. The
+        normal force of each flank is ``F / (2 s)``, so that the friction along the groove is ``1 /
+        s`` times the coefficient.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -263,7 +264,7 @@ class Pair:
 
     @property
     def flank(self) -> float | None:
-        """``sin(g/2)`` of a groove's opening angle g, by which its flanks lean; None without."""
+        """``sin(g/2)`` of the opening angle g of a groove; None without."""
         groove = self.keys.groove
         return None if groove is None else math.sin(math.radians(groove) / 2)
 
@@ -344,7 +345,7 @@ class Pair:
     # --- motion -----------------------------------------------------------------------------------
 
     def pushed_depth(self, waves: Waveforms) -> np.ndarray | None:
-        """Indentation [m] by a part that pushes side ``b``; None if it moves freely."""
+        """Indentation [m] by a part that pushes side ``b``; None if the side moves freely."""
         return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
     def lowest_point(self, waves: Waveforms) -> np.ndarray | None:
@@ -406,7 +407,8 @@ def impact_penetration(
             yield Penetration(_INDENTATION_MARGIN * float(depth), why)
 
 
-# --- how both sides part --------------------------------------------------------------------------
+# --- separation of both sides
+# ----------------------------------------------------------------------
 
 
 def find_separation(

@@ -114,7 +114,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield tighter tolerances for damped and curved laws.
 
-        The trapezoidal rule's errors of closing and opening cancel for a linear spring alone.
+        The errors of the trapezoidal rule at closing and opening cancel only for a linear spring.
         Rebounds that lose 0 to 70 % of their energy then have errors of 1.5e-4.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
@@ -408,10 +408,11 @@ def _check_open_ports(
     """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
     Nothing records that port. Without contact, the next port would rise with the outermost port of
-    the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj F_j``. Its own
-    indentation only increases the distance to the sphere. S is the static compliance: over one
-    ring's spacing the chip answers at once. Compared with models with all rings, the estimate is 10
-    to 100 % above the largest motion of the next ring, and never more than 5 % of its gap below.
+    the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj F_j``. The indentation
+    of this port only increases the distance to the sphere. S is the static compliance, because the
+    response time over the spacing of one ring is negligible. Compared with models with all rings,
+    the estimate is 10 to 100 % above the largest motion of the next ring, and never more than 5 %
+    of its gap below.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:

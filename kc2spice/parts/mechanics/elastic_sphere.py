@@ -141,7 +141,8 @@ elastic = true
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
         """Weights without free ringing, which has no effect on other parts.
 
-        With 0.01 % of damping, eight times as many steps would resolve its megahertz in flight.
+        With 0.01 % of damping, the steps would resolve the ringing at megahertz in flight, with
+        eight times as many steps.
         """
         return COARSE_WEIGHTS
 
@@ -182,7 +183,7 @@ def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIs
 
 
 def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
-    """The one contact of the sphere, by pressure."""
+    """The only contact of the sphere, with a pressure basis."""
     owner = scene.parts[part.keys.of]
     pairs = (
         (contact, make_pair(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)

@@ -36,10 +36,11 @@ _FRAME_PIN = "frame"  # pin of the acceleration of a frame; of a second one fram
 
 
 class MassKeys(Section):
-    """``F = m x''``, less ``m g`` with ``weight``. Joined to a body whose ``base`` is shaken with
-    an acceleration ``a``, ``x`` is relative to that frame and the force ``-m a`` acts besides. If
-    the mass has a support, a transient begins in equilibrium unless ``position`` or ``velocity`` is
-    given. Without a support, the transient begins at ``position`` with ``velocity``.
+    """``F = m x''``, less ``m g`` with ``weight``. If the mass is joined to a body whose ``base``
+    has the acceleration ``a``, ``x`` is relative to this frame, and the force ``-m a`` acts in
+    addition. If the mass has a support, a transient begins in equilibrium unless ``position`` or
+    ``velocity`` is given. Without a support, the transient begins at ``position`` with
+    ``velocity``.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
@@ -95,11 +96,11 @@ def point_mass(
         given=(
             positive_parameter("mass", mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
-            Param("position", position, "m", "at t = 0, used with uic"),
-            Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
+            Param("position", position, "m", "position at t = 0, used with uic"),
+            Param("velocity", velocity, "m/s", "velocity at t = 0, used with uic"),
             *shares,
         ),
-        rating="none: rigid",
+        rating="none: the part is rigid",
         validity="rigid, in vacuum, at any temperature",
         sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
     )

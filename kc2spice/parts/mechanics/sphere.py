@@ -51,7 +51,7 @@ MAX_WORK_ERROR = 1e-4
 
 
 def _default_density(keys: dict[str, Any]) -> float:
-    """Density [kg/m^3] of the material of a sphere, that of steel without one."""
+    """Density [kg/m^3] of the material of a sphere, by default steel."""
     material = keys.get("material")
     return STEEL_DENSITY if material is None else _load_material(material).density
 
@@ -111,7 +111,7 @@ class SphereKeys(Section):
     def _require_elastic_key(
         cls, elastic: bool | dict[str, Any] | None
     ) -> bool | dict[str, Any] | None:
-        """A sphere that is not elastic has no such key."""
+        """A rigid sphere does not have this key."""
         return None if elastic is False else elastic
 
     @property
@@ -131,7 +131,7 @@ def rigid_sphere(
     declaration = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
     size = positive_parameter("radius", radius, "m", "radius of the sphere")
-    place = replace(place, name="height", doc="of the lowest point at t = 0, used with uic")
+    place = replace(place, name="height", doc="height of the lowest point at t = 0, used with uic")
     return replace(
         declaration,
         title=Sphere.title,
@@ -346,7 +346,7 @@ def sphere_material(part: Part[SphereKeys]) -> Material:
 
 
 def _elastic_part(part: Part[SphereKeys]) -> str:
-    """Name of the part of its elasticity, empty if it is rigid."""
+    """Name of the part that models the elasticity; empty for a rigid sphere."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
@@ -357,7 +357,7 @@ def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKe
 
 
 def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
-    """Half the width [m] of the band around the set point in which it has settled."""
+    """Half the width [m] of the band around the set point within which the sphere has settled."""
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 

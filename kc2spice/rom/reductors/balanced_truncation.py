@@ -70,7 +70,7 @@ class BalancedTruncation(Reductor):
         return explain_too_large(task.first_order.pencil.size, MAX_UNSCALED_STATES)
 
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the balanced model; None if it is not strictly stable."""
+        """Return the balanced model; None if the model is not strictly stable."""
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
@@ -118,7 +118,7 @@ def has_gramians(task: Task) -> bool:
 
 
 def explain_no_gramians(task: Task) -> str:
-    """Return the reason why dense Gramians are not computed, "" if they are."""
+    """Return the reason why dense Gramians are not computed, "" if they are computed."""
     if task.core.free:
         return "damping couples rigid-body modes to other motions, so Gramians do not exist"
     if not task.intermediate.static:

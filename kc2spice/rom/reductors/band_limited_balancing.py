@@ -49,7 +49,7 @@ class BandLimitedBalancing(Reductor):
     congruence = False
 
     def obstacle(self, task: Task) -> str:
-        """Return why the model is too large, or its samples are not cheap."""
+        """Return why the model is too large, or why its samples take too long."""
         reason = explain_no_gramians(task) or explain_too_large(
             task.first_order.pencil.size, MAX_STATES
         )

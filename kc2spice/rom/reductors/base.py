@@ -58,7 +58,7 @@ class Reductor(ABC):
 
     @abstractmethod
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the basis, usually ``task.project(V)``; None if there is none.
+        """Return the basis, usually ``task.project(V)``; None if no basis exists.
 
         Parameters
         ----------
@@ -83,7 +83,8 @@ def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
 
     Raises
     ------
-    UsageError : it is something else, or the projection is no congruence as the method states.
+    UsageError : the value is neither a basis nor None, or the projection is not the congruence
+    that the method states.
     """
     if result is None:
         return None

@@ -79,7 +79,7 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 
 
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
-    """Return so many block Krylov vectors of a definite model, or all that exist.
+    """Return ``count`` block Krylov vectors of a definite model, or all that exist.
 
     The vectors belong to zero frequency.
     """
@@ -118,10 +118,10 @@ class BlockArnoldi:
 
     ``X = K^-1 B`` and ``A = K^-1 M``.
 
-    Column by column in port order, so bases are nested: the first q columns are the basis of
-    order q, the last block being cut after the ports that still fit. The first block holds the
-    static answers to all ports; a one-sided projection on it matches 2 moments per block.
-    Further columns continue the recursion of the last columns.
+    The columns are in the order of the ports, so bases are nested: the first q columns are the
+    basis of order q. The last block may be incomplete. The first block holds the static answers to
+    all ports; a one-sided projection on it matches 2 moments per block. Further columns continue
+    the recursion of the last columns.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
@@ -189,14 +189,14 @@ class OrthonormalBasis:
         return self.vectors[:, old:], self.images[:, old:]
 
     def append(self, vectors: np.ndarray) -> None:
-        """Append columns (n, m) that extend the basis as they are."""
+        """Append columns (n, m) to the basis without changing them."""
         self._reserve(vectors.shape[1])
         both = slice(self._count, self._count + vectors.shape[1])
         self._vectors[:, both], self._images[:, both] = vectors, self._stiffness(vectors)
         self._count = both.stop
 
     def _reserve(self, count: int) -> None:
-        """Make room for ``count`` further columns, and for as many again as there are."""
+        """Allocate ``count`` further columns, and at least double the number of columns."""
         if self._count + count <= self._vectors.shape[1]:
             return
         shape = len(self._vectors), 2 * self._count + count

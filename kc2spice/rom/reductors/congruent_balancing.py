@@ -57,7 +57,7 @@ class CongruentBalancing(Reductor):
         return explain_no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the balanced model; None if it is not strictly stable."""
+        """Return the balanced model; None if the model is not strictly stable."""
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:

@@ -49,7 +49,7 @@ def definite_krylov_model(
     The error is within ``limit`` if rounding prevents ``target``. The error is the change by the
     last two blocks.
 
-    A free ``body`` replaces the expansion at zero by one at a small negative shift, with its
+    For a free ``body``, a small negative shift replaces the expansion at zero, with its
     rigid-body modes deflated.
 
     Raises

@@ -102,7 +102,7 @@ def sampled_model(
 
     Raises
     ------
-    SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
+    SimulationError : the error exceeds ``limit``, or the model has rigid-body modes.
     """
     known = ExactSamples(full)
     every = grid(band, CANDIDATE_FREQUENCIES, True)

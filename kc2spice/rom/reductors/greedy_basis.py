@@ -2,8 +2,8 @@
 
 Points are chosen alternately by two criteria: the largest sketched residual, and the largest change
 of the response by the last point. Each point is solved on the model first as a check of the
-projection, and only then joins the basis with its derivative by s. Real and imaginary parts are
-separate vectors, so that all matrices stay real.
+projection, and only then joins the basis with its derivative with respect to s. Real and imaginary
+parts are separate vectors, so that all matrices stay real.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from kc2spice.rom.rounding import ENERGY_ROUNDING, zero_entries
 SINGULAR_RESIDUAL = 1e-6
 # Numbers chosen by trial.
 SKETCH_SIZE = 32  # random combinations of equations that represent all residuals
-# frequencies of each grid, linear and logarithmic, of which the next point is one
+# frequencies of each grid of candidates, linear and logarithmic
 CANDIDATE_FREQUENCIES = 101
 
 
@@ -74,9 +74,11 @@ class GreedyBasis:
     def next_point(self) -> complex:
         """Choose the candidate with the largest residual as the next point.
 
-        Every second time it is the one at which the last point changed the response most.
+        Every second time, the point is the frequency at which the last point changed the response
+        most.
 
-        Every second time it is the one near which the last point changed the response most.
+        Every second time, the point is the candidate near the largest change of the response by
+        the last point.
         """
         points = self._candidates()
         s = 2j * np.pi * points
@@ -103,7 +105,8 @@ class GreedyBasis:
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
-        """Add the static answers if there are any; False for a model that is free to move."""
+        """Add the static responses if the model has any; False for a model that is free to
+        move."""
         b = self.pencil.B
         try:
             answers = self.solve(0.0)

@@ -36,7 +36,7 @@ class Irka(Reductor):
         H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
         c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
 
-    Each order has a basis of its own, so a tolerance takes longer than with nested bases. The norm
+    Each order has a separate basis, so a tolerance takes longer than with nested bases. The norm
     covers all frequencies.
 
     Examples
@@ -107,7 +107,8 @@ class OptimalModels(ReducedBasis):
         return None
 
     def _optimal(self, order: int) -> Pencil:
-        """Iterate the poles of the model of this order from those of the balanced model."""
+        """Iterate the poles of the model of this order, starting with the poles of the balanced
+        model."""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.leading(order)

@@ -21,7 +21,8 @@ from kc2spice.rom.rounding import removed_stiffness, with_rounding
 # Limits of the work at which the method gives up. Chosen by trial.
 MAX_VECTORS = 600  # vectors of a basis
 MAX_POINTS = 180  # factorisations
-CONFIRMATIONS = 2  # successive points that must meet the target, because one may do so by chance
+# successive points that must meet the target, because a single point may meet it by chance
+CONFIRMATIONS = 2
 MANY_POINTS = 20  # factorisations after which a large model warns of the cause
 LARGE_UNKNOWNS = 10_000  # unknowns of a large model. Chosen by trial.
 USUAL_POINTS = 10  # factorisations, for the first estimate of the remaining time
@@ -113,7 +114,7 @@ def rational_krylov_model(
     The error is within ``limit`` if rounding prevents ``target``. The reduction uses a limited
     number of factorisations.
 
-    The error is that of the projection at the last points, before they joined the basis.
+    The error is the error of the projection at the last points, before they joined the basis.
 
     Raises
     ------

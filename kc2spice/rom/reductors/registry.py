@@ -48,7 +48,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
     Raises
     ------
-    UsageError : it has no name, or is not an instance of :class:`Reductor`.
+    UsageError : the method has no name, or is not an instance of :class:`Reductor`.
 
     Examples
     --------

@@ -171,8 +171,8 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If it is not definite, the energy is that at ``omega``. If none is definite, the result is the
-    unit matrix.
+    If the stiffness is not definite, the energy at ``omega`` is used. If none is definite, the
+    result is the unit matrix.
 
     A model that is not ``static`` has no elastic energy at rest, although rounding of K may give it
     a Cholesky factor.

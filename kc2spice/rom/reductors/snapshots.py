@@ -23,8 +23,8 @@ TAIL_REACH = 8.0  # end of the frequencies above the band, relative to the end o
 TAIL_POINTS = 150
 TAIL_DECAY = 4  # exponent with which the weight decreases above the band: contact forces are smooth
 # Smallest and largest weight at the end of the band. Chosen by trial: launches of the paper's chip
-# by reduced models of 20 to 31 states had errors of at most 3e-4, and larger ones with weights up
-# to 1e-2.
+# by reduced models of 20 to 31 states had errors of at most 3e-4, and larger errors with weights
+# up to 1e-2.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # weight per root of the tolerance: squares of errors are minimised
 # Smallest reference of an entry, relative to its peak: the floor of the pointwise norm.
@@ -49,7 +49,7 @@ class Snapshots(NamedTuple):
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
         """Return the weights of all snapshots.
 
-        ``inside`` are the weights in the band; those above it are multiplied by ``above``.
+        ``inside`` are the weights in the band; weights above the band are multiplied by ``above``.
         """
         weight = np.broadcast_to(inside, self.inside.shape)
         return np.asarray(np.r_[weight, above * self.above_weight])
@@ -85,7 +85,7 @@ def weighted_states(
     The weights are those of a relative error.
 
     The square of a state is an energy if ports exchange energy, so each state is divided by the
-    root of its port's response. Other states are divided by their length. The response of the
+    root of the response of its port. Other states are divided by their length. The response of the
     ``complete`` model includes rigid-body modes. The peak norm divides by peaks.
     """
     x = response.states(s)

@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 
-# A unit vector is dependent if it is nearer than this (450 eps) to the span of those before it.
+# A unit vector is dependent if its distance to the span of earlier vectors is less than 450 eps.
 # Rounding in a QR factorisation of a few hundred vectors is about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
 
