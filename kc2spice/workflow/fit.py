@@ -103,12 +103,12 @@ def fit(
 
     Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
     logarithms of the values within their ranges. The model is a :class:`Parametric` one of all
-    ranges for four descents, from the scene's values and from the best of 64 random samples. Models
-    of narrower ranges around the best values follow until they agree with the mesh itself. Standard
-    errors are those of the linearised problem, scaled by the misfit where it is more than the
+    ranges for four descents, from the scene's values and from the best of 64 random samples.
+    Models of narrower ranges around the best values follow until they agree with the full model.
+    Standard errors belong to the linearised problem, scaled by the misfit where it exceeds the
     noise; if the model does not describe the data they include the scatter over bands of frequency
-    (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning that
-    names its likely cause.
+    (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning
+    that names its likely cause.
 
     Parts without finite elements, and several curves, are fitted with the equations of the scene
     (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
@@ -143,8 +143,9 @@ def fit(
 
     Raises
     ------
-    UsageError : no such body, key or data; a key that does not move the admittance; an end that
-        is not the measured part; an ``out`` that cannot be written, noticed before the fit.
+    UsageError : the body, key or data do not exist; a key does not change the admittance; the
+    result does not describe the measured part; or ``out`` cannot be written, which is checked
+    before the fit.
 
     Examples
     --------
@@ -372,8 +373,8 @@ class _Body:
     def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of a small model with complex constants of IEEE 176.
 
-        The real part of the stiffness is that of the scene at the frequency of the damping, or at
-        the lowest resonance that the voltage excites.
+        The real part of the stiffness equals the stiffness of the scene at the frequency of the
+        damping, or at the lowest resonance that the voltage excites.
         """
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
@@ -420,7 +421,7 @@ class _Body:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Frequencies (n + 1,) [Hz]: one near zero, then those of the data."""
+        """Frequencies (n + 1,) [Hz]: one near zero, then the frequencies of the data."""
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
@@ -513,7 +514,8 @@ class _DescentResult:
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """Least squares of a reduced model within its box, over logarithms of the values."""
+    """Least squares of a reduced model within its parameter ranges, over logarithms of the
+    values."""
 
     body: _Body
     reduced: Parametric
@@ -579,9 +581,9 @@ def _descents(descent: _Descent) -> list[_DescentResult]:
 def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | None:
     """Correct the result of a descent by the residual of the full model.
 
-    Each step uses the derivatives of the reduced model. The steps end when the residual moves no
-    combination of the keys by more than :data:`CONVERGED_CHANGE` of its standard error. Returns
-    None if that does not happen within the range.
+    Each step uses the derivatives of the reduced model. The steps end when they change every
+    combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error. The result is
+    None if the steps do not converge within the range.
     """
     body, (low, high) = descent.body, descent.bounds
     x = descent.start(end.values)
