@@ -7,7 +7,8 @@ parallel to an inductance, with the corner frequency w, or a resonator with the 
 resonance w and the relative bandwidth b. Their logarithms are fitted, so that all elements are
 positive and the network is positive real. The fit minimises the largest of two relative errors up
 to the largest ka: that of the impedance, and that of the resistance, which is the radiated power.
-The script takes some minutes.
+Errors of the impedance below ka = 0.4 count 30 times: there the mass of the fluid shifts the
+resonances of loudspeakers. The script takes some minutes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from scipy.special import ive, j1, kve, struve, y1
 TARGET = Path(__file__).parents[1] / "kc2spice" / "parts" / "acoustics" / "_radiation_networks.py"
 LOWEST_KA = 1e-2  # below it, all errors are constant
 SHARE_BEYOND = 0.03  # weight of the errors from the largest ka to four times the largest ka
+# product of wave number and radius below which the impedance is that of a mass, and weight of its
+# error there: the errors of resonances are then a twentieth of the largest error
+MASS_KA, MASS_WEIGHT = 0.4, 30.0
 ROUNDS = 40  # of the iteration that equalises the errors at all frequencies
 STARTS = 8
 LIMITS = (-12.0, 8.0)  # of the logarithms
@@ -127,7 +131,7 @@ class Case:
 
 
 CASES = {
-    "BAFFLED_PISTON": Case(baffled_piston, 1, 6, 15.0),
+    "BAFFLED_PISTON": Case(baffled_piston, 1, 7, 15.0),
     "FREE_PISTON": Case(free_piston, 1, 3, 3.8),
 }
 
@@ -143,10 +147,21 @@ def respond(logarithms: np.ndarray, corners: int, ka: np.ndarray) -> np.ndarray:
     return result
 
 
+def weigh(ka: np.ndarray) -> np.ndarray:
+    """Weight of the error of the impedance."""
+    return np.asarray(1 + MASS_WEIGHT / (1 + (ka / MASS_KA) ** 4))
+
+
 def errors(network: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of the impedance and of the resistance."""
     difference = network - exact
     return np.abs(difference) / np.abs(exact), np.abs(difference.real) / exact.real
+
+
+def weighted_error(network: np.ndarray, exact: np.ndarray, ka: np.ndarray) -> np.ndarray:
+    """Larger one of both weighted errors."""
+    impedance, power = errors(network, exact)
+    return np.maximum(weigh(ka) * impedance, np.sqrt(weigh(ka)) * power)
 
 
 def fit(case: Case, seed: int) -> np.ndarray:
@@ -165,12 +180,13 @@ def fit(case: Case, seed: int) -> np.ndarray:
     def residual(x: np.ndarray) -> np.ndarray:
         d = respond(x, case.corners, ka) - exact
         out = SHARE_BEYOND * np.abs(respond(x, case.corners, beyond) - far)
-        return np.concatenate([weight * d.real / exact.real, weight * d.imag / np.abs(exact), out])
+        real = weight * np.sqrt(weigh(ka)) * d.real / exact.real
+        return np.concatenate([real, weight * weigh(ka) * d.imag / np.abs(exact), out])
 
     for turn in range(ROUNDS):
         steps = 60 if turn else 300
         numbers = least_squares(residual, numbers, max_nfev=steps, bounds=LIMITS).x
-        error = np.maximum(*errors(respond(numbers, case.corners, ka), exact))
+        error = weighted_error(respond(numbers, case.corners, ka), exact, ka)
         if error.max() < least:
             result, least = numbers, error.max()
         weight = weight * (0.3 + error / error.max())
@@ -186,7 +202,7 @@ def write_case(name: str, case: Case) -> str:
     exact = case.impedance(ka)
     best = min(
         (fit(case, seed) for seed in range(STARTS)),
-        key=lambda x: np.maximum(*errors(respond(x, case.corners, ka), exact)).max(),
+        key=lambda x: weighted_error(respond(x, case.corners, ka), exact, ka).max(),
     )
     values = np.array([float(f"{v:.6g}") for v in np.exp(best)])
     impedance, power = (e.max() for e in errors(respond(np.log(values), case.corners, ka), exact))

@@ -51,26 +51,27 @@ class RadiationNetwork(NamedTuple):
 
 BAFFLED_PISTON = RadiationNetwork(
     (
-        NetworkSection(0.121976, 1.01782),
-        NetworkSection(0.373897, 2.68687, 0.899969),
-        NetworkSection(0.270468, 5.72277, 0.513828),
-        NetworkSection(0.580562, 1.96848, 1.45942),
-        NetworkSection(0.11276, 8.88779, 0.301991),
-        NetworkSection(0.943549, 39.9929, 6.04909),
-        NetworkSection(0.0450813, 11.9881, 0.129239),
+        NetworkSection(1.04484, 8.7172),
+        NetworkSection(0.202822, 2.92918, 0.775183),
+        NetworkSection(0.405611, 1.92511, 1.7535),
+        NetworkSection(0.472329, 2.28281, 1.19826),
+        NetworkSection(0.401887, 5.76128, 0.624867),
+        NetworkSection(0.119282, 12.0521, 0.27251),
+        NetworkSection(0.105975, 15.6637, 0.301933),
+        NetworkSection(0.213053, 8.96024, 0.403831),
     ),
     largest_ka=15.0,
-    impedance_error=0.0063,
-    power_error=0.0062,
+    impedance_error=0.0016,
+    power_error=0.0016,
 )
 FREE_PISTON = RadiationNetwork(
     (
-        NetworkSection(0.00211455, 0.314304),
-        NetworkSection(0.875884, 2.57405, 1.25592),
-        NetworkSection(0.0863041, 3.57633, 0.341467),
-        NetworkSection(1.55627, 21.3661, 2.38268),
+        NetworkSection(0.00398606, 0.397468),
+        NetworkSection(0.889339, 2.56421, 1.24308),
+        NetworkSection(0.112845, 3.58372, 0.37436),
+        NetworkSection(1.78583, 12.5635, 1.12475),
     ),
     largest_ka=3.8,
     impedance_error=0.0071,
-    power_error=0.0071,
+    power_error=0.007,
 )
