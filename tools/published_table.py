@@ -48,7 +48,7 @@ UNITS = {
 }
 SUFFIXES = {
     "_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_hz": "Hz",
-    "_siemens": "S", "_k": "K",
+    "_siemens": "S", "_k": "K", "_db": "dB", "_ohm": "Ω",
 }  # fmt: skip
 PLACE_UNITS = {
     "us": "µs",
@@ -76,8 +76,8 @@ PICTURES = {
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
-The models have textbook materials and the dimensions of the data sheet or paper; no property is
-fitted. `kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
+The models have textbook materials and the dimensions of the data sheet or paper. No property is
+fitted, except to other measurements that a row names. `kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
 `kc2spice explain NAME` prints the error estimate of the mesh.
 
 - *full*: value of the finite-element model.
@@ -112,6 +112,8 @@ TABLES = {
     "Times": ("_s",),
     "Voltages and currents": ("_v", "_a"),
     "Temperature rises": ("_k",),
+    "Electrical impedances": ("_ohm",),
+    "Sound pressure levels": ("_db",),
 }
 ASSUMPTIONS = (
     "The sources do not state the values below. Rows that depend on these values do not test the "

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import j1, struve
 from support import dialect_names
 
 import kc2spice as kc
@@ -9,7 +10,7 @@ import kc2spice as kc
 # SEAS L16RNX with the parameters of J. Candy and C. Futtrup (speakertools, ADV_L16RNX.json).
 DRIVER = {"fs": 45.0, "re": 5.7212, "bl": 7.0089, "rms": 2.11, "mms": 14.896e-3, "sd": 104e-4}
 SEMI = {"leb": 0.1258e-3, "le": 1.1774e-3, "ke": 0.0386, "rss": 562.4}
-RHO = 1.204
+RHO, SOUND_SPEED = 1.204, 343.2
 OMEGA = 2 * np.pi * DRIVER["fs"]
 CMS = 1 / (OMEGA**2 * DRIVER["mms"])
 # mass of the air in front of a piston in a baffle
@@ -102,6 +103,42 @@ def test_acoustic_pins_are_an_ideal_transformer():
     flow = DRIVER["sd"] * DRIVER["bl"] / (mechanical * z)
     np.testing.assert_allclose(waves["load.flow"], flow, rtol=1e-9)
     np.testing.assert_allclose(waves["air.flow"], -flow, rtol=1e-9)
+
+
+def piston_impedance(s):
+    """Acoustic impedance of a piston in a baffle (Kinsler et al., section 7.5)."""
+    radius, rate = np.sqrt(DRIVER["sd"] / np.pi), np.abs(s)
+    x = 2 * rate / SOUND_SPEED * radius
+    relative = 1 - 2 * j1(x) / x + 2j * struve(1, x) / x
+    return RHO * SOUND_SPEED / DRIVER["sd"] * relative
+
+
+@pytest.mark.parametrize("sides", [("front",), ("front", "rear")])
+def test_radiation_does_not_count_the_mass_of_the_air_twice(sides):
+    parts = {side + "_air": {"part": "radiation", "area": DRIVER["sd"]} for side in sides}
+    pins = {side: f"{side}_air.face" for side in sides}
+    span = {"type": "ac", "start": 10.0, "stop": 5e3, "points": 100}
+    s, z = impedance(kc.run(scene({"le": 1e-3}, pins, parts, **span)).waves)
+    mass, acoustic = DRIVER["mms"] - len(sides) * LOAD, len(sides) * piston_impedance(s)
+    expected = closed_form(s, 1e-3 * s, plain_suspension(s), mass, acoustic)
+    np.testing.assert_allclose(z, expected, rtol=1e-4)
+    assert (
+        np.abs(z / closed_form(s, 1e-3 * s, plain_suspension(s), acoustic=acoustic) - 1).max()
+        > 0.03
+    )
+
+
+def test_efficiency_is_radiated_over_electrical_power():
+    """Below 100 Hz in a baffle: ``rho/(2 pi c) |sd dv/dt|^2`` over ``Re Z |i|^2``."""
+    parts = {"air": {"part": "radiation", "area": DRIVER["sd"]}}
+    tables = scene({"le": 1e-3}, {"front": "air.face"}, parts)
+    tables["analysis"] |= {"start": 20.0, "stop": 100.0}
+    result = kc.run(tables)
+    s, z = impedance(result.waves)
+    speed = s * result.waves["speaker.x"]
+    radiated = RHO / (2 * np.pi * SOUND_SPEED) * np.abs(DRIVER["sd"] * s * speed) ** 2
+    expected = radiated / (z.real * np.abs(result.waves["speaker.i"]) ** 2)
+    np.testing.assert_allclose(result.metrics["efficiency"], expected, rtol=3e-3)
 
 
 def test_the_mass_without_air_is_one_of_the_stated_values():
