@@ -8,7 +8,9 @@ from importlib import import_module
 
 NAMES_BY_MODULE = {
     "kc2spice": "api pyspice",
-    "kc2spice.bodies.device": "Block BondedBlocks ForceShape Setup make_device spread_force",
+    "kc2spice.bodies.device": (
+        "Block BondedBlocks ForceShape Setup make_device outer_faces spread_force"
+    ),
     "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
     "kc2spice.bodies.fields": (
         "FieldProbe compute_lowest_modes evaluate_at_nodes find_extremes "

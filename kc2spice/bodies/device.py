@@ -32,12 +32,17 @@ from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
-from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
+from kc2spice.core.domains import ACCELERATION, ACOUSTIC, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.progress import StepTimer
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import Solid, assemble_solid, compute_node_shares
+from kc2spice.fem.solid import (
+    Solid,
+    assemble_solid,
+    compute_displaced_volume,
+    compute_node_shares,
+)
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
@@ -52,10 +57,19 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 
 @dataclass(frozen=True, eq=False)
 class ForceShape:
-    """Port of forces; ``weights`` (d nodes,) distribute a unit force over the solid."""
+    """Port of forces; ``weights`` (d nodes,) are the nodal forces of a unit force or pressure."""
 
     port: Port
     weights: np.ndarray
+
+
+def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
+    """Port of the pressure on a boundary and the volume that the boundary yields.
+
+    The pressure p acts against the outward normal n: its forces are ``-p int N n dS``, and the
+    output of the port is ``-int u n dS``.
+    """
+    return ForceShape(port, -compute_displaced_volume(solid, facets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,8 +409,21 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
     return True
 
 
+FRONT_FACE, BACK_FACE = "front_face", "back_face"  # ports of the pressure above and below a body
 # Lower and upper ends [m] along each axis; equal ends make a face, an edge or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class RadiatingFace:
+    """Part of the surface that radiates sound.
+
+    The face consists of the outer faces of elements in ``box`` whose normals point ``upward``, or
+    downward.
+    """
+
+    box: Box
+    upward: bool
 
 
 @dataclass(frozen=True)
@@ -429,6 +456,7 @@ class BondedBlocks:
     ports : mean upward displacement of a face with an even force, or displacement of a point.
     fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are fixed.
     masses : [kg] spread over faces.
+    faces : ports of the pressure on a part of the surface.
     moved : whether the port ``base`` is the upward acceleration of the support.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
     like : body of equal blocks with other sizes; its mesh is reused with displaced nodes.
@@ -441,6 +469,7 @@ class BondedBlocks:
     ports: Mapping[str, Box] = field(default_factory=dict)
     fixed: Sequence[tuple[str, Box]] = ()
     masses: Sequence[tuple[float, Box]] = ()
+    faces: Mapping[str, RadiatingFace] = field(default_factory=dict)
     moved: bool = False
     grid: Sequence[np.ndarray] = ()
     size: float = np.inf
@@ -460,6 +489,8 @@ class BondedBlocks:
             ports.append(Port(name, TRANSLATION.port))
         if self.moved:
             ports.append(Port(BASE, ACCELERATION.port))
+        for name in self.faces:
+            ports.append(Port(name, ACOUSTIC.port))
         return tuple(ports)
 
     @property
@@ -559,19 +590,40 @@ class BondedBlocks:
             return compute_node_shares(solid, facets=face)
 
         lumped = [mass * shares(box) for mass, box in self.masses]
+        shapes = [
+            ForceShape(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
+            for name, box in self.ports.items()
+        ]
+        for name, face in self.faces.items():
+            facets = select_face(solid, face, near)
+            shapes.append(pressure_shape(Port(name, ACOUSTIC.port), solid, facets))
         return Setup(
             fixed=fixed.ravel(),
             electrodes={pin: find_nodes(faces) for pin, faces in self.electrodes.items()},
             reference="cathode",
             floating=list(map(find_nodes, self.floating)),
-            shapes=[
-                ForceShape(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
-                for name, box in self.ports.items()
-            ],
+            shapes=shapes,
             base=[(Port(BASE, ACCELERATION.port), UP)] if self.moved else [],
             lumped=np.sum(lumped, axis=0) if lumped else None,
             damping=self.damping,
         )
+
+
+def outer_faces(box: Box) -> dict[str, RadiatingFace]:
+    """Return the ports of both sides of a plate that fills a box."""
+    return {
+        FRONT_FACE: RadiatingFace(box, upward=True),
+        BACK_FACE: RadiatingFace(box, upward=False),
+    }
+
+
+def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
+    """Return the facets of a face of a body of blocks."""
+    inside = solid.mesh.facets_satisfying(
+        lambda x: _is_inside_box(face.box, x, near), boundaries_only=True
+    )
+    up = solid.face(inside, 1).normals[-1].mean(axis=-1)
+    return np.asarray(inside[up > 0.5 if face.upward else up < -0.5])
 
 
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from kc2spice.core.domains import TRANSLATION
+from kc2spice.core.domains import ACOUSTIC, TRANSLATION
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
@@ -80,10 +80,11 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     The facts are
 
     * the capacitances of electrical ports, each with the other ports shorted; names of ports other
-    than the first are in the key, * the stroke per volt of the first mechanical port, under its
-    name, * the lowest resonances that the electrical ports excite, with all electrodes shorted and
-    with
-      all open. In a body without electrical ports, the other ports excite the modes.
+      than the first are in the key,
+    * the stroke per volt of the first mechanical port, under its name,
+    * the lowest resonances that the electrical ports excite, with all electrodes shorted and with
+      all open. In a body without electrical ports, the other ports excite the modes, and acoustic
+      ports only if there are no others.
 
     ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. Resonances
     beyond the lowest modes are left out.
@@ -92,7 +93,9 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
     solve = model.pencil.pencil_solver(-shift).solve
     if not e:
-        lowest, modes, rigid = _find_resonance(model, solve, range(len(model.ports)), shift)
+        ports = [k for k, port in enumerate(model.ports) if port.domain is not ACOUSTIC]
+        ports = ports or [*range(len(model.ports))]
+        lowest, modes, rigid = _find_resonance(model, solve, ports, shift)
         facts = {} if lowest is None else {"resonance_hz": lowest}
         pushed = _solve_static(model, solve, force, shift)[1]
         return UndampedResponses(facts, model.B[:, e], pushed, modes, rigid, solve)
@@ -136,7 +139,7 @@ def _solve_static(
 
 
 def _find_resonance(
-    model: LinearModel, solve: Operator, ports: range | list[int], shift: float
+    model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
     """Find the lowest resonance [Hz] that the ports excite, and the modes.
 

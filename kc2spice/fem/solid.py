@@ -29,6 +29,7 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
+FACE_QUADRATURE = 5  # order of integration: exact for a quadratic function times the radius
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
 # Voigt row of the derivative of component i with respect to coordinate j.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
@@ -279,6 +280,19 @@ def compute_node_shares(
     form = skfem.LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
     shares = form.assemble(basis)
     return np.asarray(shares / shares.sum())
+
+
+def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
+    """Volume that a boundary displaces per displacement: ``int N n dS`` (d nodes,) [m^2].
+
+    n is the outward normal. The integrals of a body of revolution are over the full turn.
+    """
+    basis = solid.face(facets, FACE_QUADRATURE)
+    radius = np.asarray(basis.global_coordinates())[0]
+    around = 2 * np.pi * radius if solid.axisymmetric else np.ones_like(radius)
+    form = skfem.LinearForm(lambda v, w: v * w.weight)
+    columns = [form.assemble(basis, weight=around * normal) for normal in basis.normals]
+    return np.stack(columns, axis=-1).ravel()
 
 
 def sum_matrices(

@@ -282,8 +282,20 @@ class BondedBody(MeshedBody[FieldKeysT]):
         """Blocks, electrodes, supports and ports of the body."""
         return _make_bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
+    def sounding(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
+        """Return the body with those acoustic ports that the scene names."""
+        bonded, named = self.bonded(part), {}
+        for name, face in bonded.faces.items():
+            if name in part.pins or scene.is_target(part.name, name):
+                named[name] = face
+        return replace(bonded, faces=named)
+
+    def full_key(self, part: Part[FieldKeysT], scene: GovernedScene) -> Mapping[str, Any]:
+        key, faces = super().full_key(part, scene), [*self.sounding(part, scene).faces]
+        return {**key, "faces": faces} if faces else key
+
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
-        return self.bonded(part).every_port
+        return self.sounding(part, scene).every_port
 
     def directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
@@ -296,12 +308,13 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return result
 
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        return self.bonded(part).device()
+        return self.sounding(part, scene).device()
 
     def varied(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
-        return replace(self.bonded(part), like=self.bonded(like)).device().model
+        body = replace(self.sounding(part, scene), like=self.bonded(like))
+        return body.device().model
 
     def rated_by_material(self, part: Part[FieldKeysT]) -> float | None:
         return self.bonded(part).rated

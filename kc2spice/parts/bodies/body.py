@@ -35,7 +35,7 @@ from pydantic import Field, StringConstraints, model_validator
 from kc2spice.bodies import device as fe
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.cache import load_or_build
-from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
+from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
@@ -77,6 +77,14 @@ Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 # Components of a poling along the radius, around and along the axis.
 _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
+# Domains of ports by their kind; the motions of a rigid face have several.
+_DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
+_NEEDS_OF_KINDS = {
+    "mean": "needs group or at",
+    "rigid": "needs group",
+    "base": "accepts neither",
+    "face": "needs group",
+}
 _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
@@ -93,13 +101,14 @@ class FixedKeys(Section):
 
 
 class PortKeys(Section):
-    """A mechanical port.
+    """A mechanical or acoustic port.
 
     ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
     points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
     and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
-    *base* is the acceleration of what the body is fixed to. ``at`` names the mesh node nearest to
-    a point instead of a group.
+    *base* is the acceleration of what the body is fixed to. *face* is the pressure on a face of the
+    surface and the volume that the face displaces. ``at`` names the mesh node nearest to a point
+    instead of a group.
     """
 
     name: Name = Field(description="Name of the port and of its pin")
@@ -108,18 +117,22 @@ class PortKeys(Section):
     axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
         None, description="Direction of the displacement, or axis of the rotation"
     )
-    kind: Literal["mean", "rigid", "base"] = Field(
+    kind: Literal["mean", "rigid", "base", "face"] = Field(
         "mean",
         description="Kind of port: mean (mean displacement of a group), rigid (rigid "
-        "face) or base (acceleration of the base)",
+        "face), base (acceleration of the base) or face (sound pressure on a face)",
     )
 
     @model_validator(mode="after")
     def _require_complete(self) -> PortKeys:
         places = (self.group is not None) + (self.at is not None)
-        if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
-            needs = {"mean": "needs group or at", "rigid": "needs group", "base": "accepts neither"}
-            raise ValueError(f'kind = "{self.kind}" {needs[self.kind]}')
+        of_group = self.kind in ("rigid", "face")
+        if places != (0 if self.kind == "base" else 1) or (of_group and self.at):
+            raise ValueError(f'kind = "{self.kind}" {_NEEDS_OF_KINDS[self.kind]}')
+        if self.kind == "face":
+            if self.axis is not None:
+                raise ValueError("pressure acts at right angles to a face: delete axis")
+            return self
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
             raise ValueError("this port needs the key axis: x, y, z or three numbers")
@@ -138,7 +151,7 @@ class PortKeys(Section):
     def ports(self) -> tuple[Port, ...]:
         """Ports of the model for this entry."""
         if self.kind != "rigid":
-            return (Port(self.name, (ACCELERATION if self.kind == "base" else TRANSLATION).port),)
+            return (Port(self.name, _DOMAINS_OF_KINDS[self.kind].port),)
         result = []
         for motion in self.motions:
             name = self.name if self.axis else f"{self.name}_{motion}"
@@ -459,6 +472,9 @@ def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
             faces.append(_rigid_face(port, groups, solid))
         elif port.kind == "base":
             base.append((port.ports[0], port.direction))
+        elif port.kind == "face":
+            facets = boundary_facets(port, groups, solid)
+            shapes.append(fe.pressure_shape(port.ports[0], solid, facets))
         else:
             force = fe.spread_force(_node_shares(port, groups, solid), port.direction, solid)
             shapes.append(fe.ForceShape(port.ports[0], force))
@@ -483,6 +499,23 @@ def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
     unit = dict(zip(_MOTION_NAMES, np.eye(6), strict=True))
     moves = map(unit.__getitem__, port.motions)
     return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
+
+
+def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+    """Return the facets of an acoustic port, which are on the surface of the body.
+
+    Raises
+    ------
+    UsageError : the group is inside the body.
+    """
+    where = f"ports.{port.name}"
+    facets = groups.group(str(port.group), where, 1).members
+    inside = int((solid.mesh.f2t[1, facets] >= 0).sum())
+    if inside:
+        problem = "a face that radiates sound must be on the surface of the body"
+        got = f"{port.group}, with {inside} of {facets.size} faces between two elements"
+        raise wrong(where, problem, got, "a group of outer faces")
+    return facets
 
 
 def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
@@ -559,6 +592,8 @@ class Body(MeshedBody[BodyKeys]):
         """Axes of the translations and accelerations of the ports."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
+            if keys.kind == "face":
+                continue
             if keys.kind != "rigid":
                 result[keys.name] = tuple(keys.direction.tolist())
                 continue

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box
+from kc2spice.bodies.device import Block, BondedBlocks, Box, outer_faces
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validate
@@ -164,6 +164,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         conductors[1:-1] if series else (),
         {"centre": _face(0.0, patch / 2, top)},
         _make_supports(disc, pieces, across / 2),
+        faces=outer_faces(((0.0, across / 2), (0.0, top))),
         size=max(top, across) / (2 * _RADIAL_CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,

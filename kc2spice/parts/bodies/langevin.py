@@ -16,7 +16,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box
+from kc2spice.bodies.device import (
+    BACK_FACE,
+    FRONT_FACE,
+    Block,
+    BondedBlocks,
+    Box,
+    RadiatingFace,
+)
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import (
     Count,
@@ -152,6 +159,9 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     back: Box = ((0.0, under), (bottom, bottom))
     ports: dict[str, Box] = {"front": ((0.0, body.front[-1].diameter / 2), (top, top))}
     fixed = body.support == "back"
+    faces = {FRONT_FACE: RadiatingFace(ports["front"], upward=True)}
+    if not fixed:
+        faces[BACK_FACE] = RadiatingFace(back, upward=False)
     across = (rings.inner / 2, rings.outer / 2)
     planes = [(across, (i * rings.thickness,) * 2) for i in range(rings.count + 1)]
     return BondedBlocks(
@@ -159,6 +169,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
         {"anode": planes[1::2], "cathode": planes[::2]},
         ports=ports if fixed else ports | {"back": back},
         fixed=[("xz", back)] if fixed else (),
+        faces=faces,
         size=float(boxes[:, 0, 1].max()) / _RADIAL_CELLS,
         refine=body.mesh.refine,
         damping=body.damping,
