@@ -77,8 +77,9 @@ EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
 The models have textbook materials and the dimensions of the data sheet or paper. No property is
-fitted, except to other measurements that a row names. `kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
-`kc2spice explain NAME` prints the error estimate of the mesh.
+fitted, except to other measurements that a row names. `kc2spice run NAME` runs a built-in scene.
+The other scenes are files in `docs/published`. `kc2spice explain NAME` prints the error estimate of
+the mesh.
 
 - *full*: value of the finite-element model.
 - *reduced*: value of the reduced model, which becomes the subcircuit.
