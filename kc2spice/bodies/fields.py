@@ -37,7 +37,8 @@ ZERO_FREQUENCY_RATIO = 1e-6
 MIN_PHASE = 1e-4
 # Smallest number of instants at which extremes are searched (half equally spaced, half with the
 # largest energy), and largest product of points and instants.
-MIN_INSTANTS, MAX_WORK = 200, 2_000_000
+MIN_INSTANTS = 200
+MAX_WORK = 2_000_000
 CHUNK_SIZE = 20
 # meshio cell type of each element
 _VTK_CELLS = {

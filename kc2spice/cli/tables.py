@@ -25,7 +25,9 @@ from kc2spice.core.progress import ERROR_BUDGET, Progress, ignore_progress
 if TYPE_CHECKING:
     from kc2spice.report.html import PageSection
 PIPED_COLUMNS = 80  # width of output that is not printed on a terminal
-MAX_METRICS, MAX_ROWS = 9, 13  # largest numbers of metrics and rows in the summary of a run
+# largest numbers of metrics and rows in the summary of a run
+MAX_METRICS = 9
+MAX_ROWS = 13
 INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
 
 

@@ -19,7 +19,9 @@ Power = Literal[
     "none",
 ]
 Side = Literal["across", "through"]
-BASE, AMBIENT, SIGNAL = "base", "ambient", "-"
+BASE = "base"
+AMBIENT = "ambient"
+SIGNAL = "-"
 HEAT = "heat"  # pin and flow of the heat that a part gives off
 HEAT_PINS = (
     f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 # Pa, reference pressures of ISO 1683
-GAS_REFERENCE, LIQUID_REFERENCE = 20e-6, 1e-6
+GAS_REFERENCE = 20e-6
+LIQUID_REFERENCE = 1e-6
 SMALLEST_RATIO = 1e-15  # ratio of pressures at which a level ends, because silence has none
 
 

@@ -255,7 +255,8 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     return shape, kind
 
 
-ANSWER_FILE, REASON_FILE = "answer.npz", "reason.json"
+ANSWER_FILE = "answer.npz"
+REASON_FILE = "reason.json"
 MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, libraries included
 MAX_ANSWER_BYTES = 4_000_000_000  # bytes of the arrays that the child returns
 MAX_ANSWER_ENTRIES = 200_000_000  # entries of one array that the child returns

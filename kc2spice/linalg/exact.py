@@ -20,7 +20,8 @@ SLICE_COUNT = 4  # number of slices with about 21 bits each
 MAX_REFINEMENTS = 5
 # relative corrections: below the first limit, the next correction is rounding error; above the
 # second, no digit is correct
-CONVERGED_CORRECTION, DIVERGED_CORRECTION = 1e-8, 1e-3
+CONVERGED_CORRECTION = 1e-8
+DIVERGED_CORRECTION = 1e-3
 
 
 class ExactMatrix:

@@ -25,7 +25,10 @@ from kc2spice.core.extras import LIBRARIES
 # the matrix is complex.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
-FACTORISE, SOLVE, RELEASE = 12, 33, -1  # phases of a PARDISO call
+# phases of a PARDISO call
+FACTORISE = 12
+SOLVE = 33
+RELEASE = -1
 # largest relative difference between a symmetric matrix and its transpose
 SYMMETRY_TOLERANCE = 1e-12
 PIVOT_DIGITS = {
@@ -33,8 +36,14 @@ PIVOT_DIGITS = {
     False: 13,
 }  # a pivot below 10^-digits of the norm is replaced, if symmetric
 # indices in the parameter array ``iparm``, counted from 0
-OWN_VALUES, ORDER, PIVOTS, SCALING, MATCHING = 0, 1, 9, 10, 12
-REPLACED_PIVOTS, BUNCH_KAUFMAN, NEGATIVE = 13, 20, 22
+OWN_VALUES = 0
+ORDER = 1
+PIVOTS = 9
+SCALING = 10
+MATCHING = 12
+REPLACED_PIVOTS = 13
+BUNCH_KAUFMAN = 20
+NEGATIVE = 22
 NESTED_DISSECTION = 2  # value of ``ORDER``: nested dissection by METIS
 
 

@@ -49,7 +49,9 @@ class Option:
         )
 
 
-RELTOL, CHGTOL = 1e-3, 1e-14  # default options of ngspice
+# default options of ngspice
+RELTOL = 1e-3
+CHGTOL = 1e-14
 # smallest step of a dc sweep in V or A; ngspice ends a sweep within 2.2e-13
 SMALLEST_SWEEP_STEP = 1e-12
 MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per decade in 32 bits

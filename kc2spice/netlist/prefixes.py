@@ -16,7 +16,8 @@ from itertools import chain
 from kc2spice.netlist.expression import PREFIXES
 
 # numbers in this range are written without a prefix
-SMALLEST_PLAIN, LARGEST_PLAIN = Decimal("0.1"), 1000
+SMALLEST_PLAIN = Decimal("0.1")
+LARGEST_PLAIN = 1000
 _FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
 _EMBEDDED_FLOAT = re.compile(rf"(?<![\w.+-]){_FLOAT.pattern}(?![\w.])")
 _DIGIT_PARTS = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")

@@ -38,7 +38,8 @@ _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
 THERMAL_FLAG = "thermal"  # of a VDMOS of ngspice with pins of temperature (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
-_OPENING_BRACKETS, _CLOSING_BRACKETS = "({[", ")}]"
+_OPENING_BRACKETS = "({["
+_CLOSING_BRACKETS = ")}]"
 _INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment after a card
 
 

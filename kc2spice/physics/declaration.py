@@ -70,7 +70,8 @@ from kc2spice.physics.symbolic import (
 LOOPS = "loops"
 TEMPERATURE = "temperature"  # coordinate at the pin of heat, the rise over the pin ``ambient``
 HEATING = "heating of the coil"  # effect that a part with a pin of heat does not neglect
-COEFFICIENT, REFERENCE = "temperature_coefficient", "reference_temperature"
+COEFFICIENT = "temperature_coefficient"
+REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
 # A force or a torque determines no displacement, and no part stores energy by a flow of heat.

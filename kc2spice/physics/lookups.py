@@ -38,7 +38,8 @@ from kc2spice.physics.symbolic import (
 )
 
 # node names of the cell index and of the position in the cell
-CELL_NODE, WEIGHT_NODE = "lookup_s", "lookup_w"
+CELL_NODE = "lookup_s"
+WEIGHT_NODE = "lookup_w"
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ from kc2spice.netlist.expression import (
     walk_tree,
 )
 
-ZERO, ONE = Number("0"), Number("1")
+ZERO = Number("0")
+ONE = Number("1")
 SLOPE_SUFFIX = "_slope"  # suffix of the name of a table's derivative
 _LITERAL_DIGITS = 11  # digits of a number in an expression that ngspice retains
 _HELP_PAGE = "docs/reference/declarations.md"

@@ -35,7 +35,8 @@ RADAU_WEIGHTS = _RADAU_MATRIX[2]
 _RADAU_INVERSE = np.linalg.inv(_RADAU_MATRIX)
 _values, _vectors = np.linalg.eig(_RADAU_INVERSE)
 _EIGENVECTORS_INVERSE = np.linalg.inv(_vectors)
-_REAL_INDEX, _PAIR_INDEX = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
+_REAL_INDEX = int(np.argmin(np.abs(_values.imag)))
+_PAIR_INDEX = int(np.argmax(_values.imag))
 _ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON_STEPS = 8
 # largest rounding error relative to the tolerance; the derivative of a controller amplifies

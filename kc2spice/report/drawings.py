@@ -14,12 +14,16 @@ from kc2spice.report.html import render_page
 from kc2spice.scene.model import Scene
 
 # largest width and height of the side view, in page units
-SKETCH_WIDTH, SKETCH_HEIGHT = 520.0, 300.0
+SKETCH_WIDTH = 520.0
+SKETCH_HEIGHT = 300.0
 LETTER_WIDTH = 6.2
-NET_SPACING, PART_HEIGHT = 24.0, 74.0  # spacing of two nets; height of a part
+NET_SPACING = 24.0  # spacing of two nets
+PART_HEIGHT = 74.0  # height of a part
 # Colours of the page in light and dark mode, and of a drawing without a page.
-BLUE, ORANGE = "var(--blue, #0072B2)", "var(--orange, #B86E00)"
-GREEN, GREY = "var(--green, #009E73)", "var(--grey, #75797D)"
+BLUE = "var(--blue, #0072B2)"
+ORANGE = "var(--orange, #B86E00)"
+GREEN = "var(--green, #009E73)"
+GREY = "var(--grey, #75797D)"
 MATERIAL_COLOURS = {
     "ceramic": "#F3D9A4",
     "metal": "#D9D9D9",

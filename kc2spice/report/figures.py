@@ -12,8 +12,14 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel
 
 # Okabe and Ito, "Color Universal Design" (2008): distinct for every colour vision.
-BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+RED = "#D55E00"
+SKY = "#56B4E9"
+PURPLE = "#CC79A7"
+BLACK = "#222222"
+GREY = "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
 LABELS_ABOVE = 4  # largest number of labels above the axes; a longer legend is beside them

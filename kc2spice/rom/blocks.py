@@ -28,7 +28,8 @@ LARGER_LIMITS = 1e5, 1e7, 1e9
 MAX_BLOCK_STATES = 4  # states of the largest block for which no larger bound is tried
 # accepted change of the response due to a larger bound: relative, and as a share of the error
 # estimate
-MAX_RESPONSE_CHANGE, MAX_ERROR_SHARE = 1e-9, 1e-2
+MAX_RESPONSE_CHANGE = 1e-9
+MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
 EQUALITY_TOLERANCE = 1e-13
 

@@ -54,7 +54,8 @@ START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance
 LEAD_SHARES = (1e-3, 0.03, 0.5)
 STARTS_PER_DECADE = 2  # start values of the time constant of a relaxation or an inductance
 # largest number of evaluations: to choose among sums of branches, and for the final fit
-SELECTION_EVALUATIONS, FINAL_EVALUATIONS = 100, 400
+SELECTION_EVALUATIONS = 100
+FINAL_EVALUATIONS = 400
 # insignificant difference of the information criterion (Kass and Raftery, 1995)
 CRITERION_TOLERANCE = 2.0
 # ratio of a resonance to the end of the band; above, a simpler element replaces the resonance

@@ -44,7 +44,8 @@ DIELECTRIC_SHARE = 0.01
 SENSITIVITY_LIMIT = 0.7
 GRID_FREQUENCIES = 400  # frequencies of a band at which the error is measured
 # rounds of refinement at antiresonances, and frequencies around each
-REFINEMENT_ROUNDS, REFINED_FREQUENCIES = 2, 9
+REFINEMENT_ROUNDS = 2
+REFINED_FREQUENCIES = 9
 RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in half-widths
 
 

@@ -37,7 +37,8 @@ MODE_TOLERANCE = 1e-14
 # stiffness. Other methods reduce bodies above this value and retain their soft supports.
 MAX_RIGID_ENERGY = 1.0
 # vectors of inverse iteration: first and largest number; one body has six rigid-body modes
-BLOCK_VECTORS, MAX_BLOCK_VECTORS = 8, 64
+BLOCK_VECTORS = 8
+MAX_BLOCK_VECTORS = 64
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,9 @@ from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
 # Arnoldi method: number of poles, vectors and restarts
-POLE_COUNT, KRYLOV_VECTORS, MAX_RESTARTS = 4, 40, 12
+POLE_COUNT = 4
+KRYLOV_VECTORS = 40
+MAX_RESTARTS = 12
 LANCZOS_RESTARTS = 6  # restarts of the Lanczos method, of twenty vectors each
 MODE_ERROR = 1e-2  # relative error of the softest mode
 # multiple of the rounding error of an energy, below which the energy counts as zero

@@ -234,7 +234,8 @@ MASSLESS_ERROR = 1e-3
 # Such modes depend on the mesh, ring for hundreds of periods, and determine the time steps after a
 # lightly damped kick. Without them, launches of a chip with 0.01 % damping change by 1.2e-3, a
 # quarter of their difference to a finer model and towards it, with a third of the time points.
-RINGING_ERROR, MAX_RINGING_RATIO = 1e-2, 0.02
+RINGING_ERROR = 1e-2
+MAX_RINGING_RATIO = 0.02
 # frequency of a massless mode, relative to the end of the band; lower modes do not respond
 # instantaneously
 MIN_FREQUENCY_RATIO = 2.0

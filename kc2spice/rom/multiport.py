@@ -37,7 +37,8 @@ FITTING_ITERATIONS = 6
 MAX_EVALUATIONS = 60  # evaluations of least squares of the poles
 # Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
 # multiple of the band's end. Samples do not determine poles beyond these limits.
-MIN_DECAY_RATIO, MAX_DECAY_RATIO = 0.25, 10.0
+MIN_DECAY_RATIO = 0.25
+MAX_DECAY_RATIO = 10.0
 # Highest frequency of a pole, relative to the end of the band; the limits are tried in this order.
 # Transmission lines need poles above the band. A model of measured data with poles above the band
 # is seldom passive.
@@ -48,10 +49,12 @@ BOUND_DISTANCE = 1e-3  # smallest relative distance of the start of least square
 MAX_POLES = 60  # poles; a complex pair counts once
 MAX_STATES = 48  # states of all poles; passivity enforcement takes time with their sixth power
 # deviation of a good fit: multiple of the noise of the data, or fraction of the largest value
-NOISE_FACTOR, GOOD_DEVIATION = 1.2, 1e-5
+NOISE_FACTOR = 1.2
+GOOD_DEVIATION = 1e-5
 # smallest reduction of the deviation by three further poles, and number of smaller reductions that
 # end the search
-MIN_IMPROVEMENT, MAX_FAILURES = 0.1, 2
+MIN_IMPROVEMENT = 0.1
+MAX_FAILURES = 2
 PASSIVITY_RATIO = 1.2  # accepted deviation of a passive fit, relative to the fit without passivity
 POOR_DEVIATION = 0.2  # deviation, relative to the largest value, of data without a rational fit
 OPTIMUM_ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity

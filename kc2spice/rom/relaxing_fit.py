@@ -20,7 +20,8 @@ import scipy
 MAX_ROUNDS = 25  # updates of the weights
 ROUND_EVALUATIONS = 30  # evaluations of the residuals per round
 # number of rounds after which errors above this multiple of the tolerance end the fit
-CHECKED_ROUNDS, HOPELESS_RATIO = 4, 1.5
+CHECKED_ROUNDS = 4
+HOPELESS_RATIO = 1.5
 MIN_WEIGHT_FACTOR = 0.02  # factor of a weight where the error is small
 
 

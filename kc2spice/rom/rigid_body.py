@@ -29,7 +29,8 @@ from kc2spice.rom.pencil import (
 ROUNDING_FACTOR = 8.0
 # Magnitudes of poles of a first-order model, relative to the end of the band: zero within rounding,
 # which affects half of the digits of a double pole, and slow poles of a damped rigid-body mode.
-ZERO_POLE_RATIO, SLOW_POLE_RATIO = 1e-6, 1e-2
+ZERO_POLE_RATIO = 1e-6
+SLOW_POLE_RATIO = 1e-2
 # multiple of the change of an energy by random rounding of the entries; larger values are energies
 ENERGY_FACTOR = 30.0
 ENERGY_MARGIN = 4.0  # factor on the random rounding; larger energies are not rounding errors

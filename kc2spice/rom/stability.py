@@ -26,7 +26,8 @@ DEFINITE_EVIDENCE = "definite matrices"
 MAX_FACTORED_UNKNOWNS = 5_000  # unknowns of a matrix whose factor takes less than 0.1 s
 MISS_PROBABILITY = 1e-12  # probability that Lanczos steps miss an eigenvalue below zero
 # largest number of Lanczos steps, and steps between computations of the smallest Ritz value
-MAX_LANCZOS_STEPS, LANCZOS_INTERVAL = 200, 20
+MAX_LANCZOS_STEPS = 200
+LANCZOS_INTERVAL = 20
 MAX_POLE_STATES = 1200  # first-order states up to which all poles of a full model are computed
 
 

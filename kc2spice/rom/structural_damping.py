@@ -39,7 +39,8 @@ BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both 
 DEFAULT_DECADES = 4.0  # decades of a band that begins at zero
 POINTS_PER_DECADE = 40  # frequencies per decade at which amplitudes are fitted
 # largest number of relaxations: per decade, and in addition to these
-MAX_PER_DECADE, ADDITIONAL_RELAXATIONS = 6, 8
+MAX_PER_DECADE = 6
+ADDITIONAL_RELAXATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)

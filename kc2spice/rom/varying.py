@@ -64,7 +64,8 @@ MIN_GAP_GAIN = 0.02  # smallest reduction of the logarithm of a gap that justifi
 DEPENDENT_VECTOR = 1e-9  # square of a dependent Ritz vector, relative to the largest
 FULL_CHECKS = 4  # full models, in addition to one at a corner, that only check the result
 # share of the tolerance for the resonators; safety factor on errors at points of the range
-RESONATOR_SHARE, SAFETY_FACTOR = 0.4, 1.5
+RESONATOR_SHARE = 0.4
+SAFETY_FACTOR = 1.5
 COEFFICIENT_RESOLUTION = 1e-3  # resolution of coefficients, relative to the tolerance
 # factor of COEFFICIENT_RESOLUTION for transfers between ports, whose large terms cancel at notches
 NOTCH_RESOLUTION = 1e-2

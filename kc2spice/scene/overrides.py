@@ -12,7 +12,8 @@ from kc2spice.core.quantities import clip_text
 from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
 from kc2spice.scene.scene_file import open_scene
 
-_WORD_PATTERN, _INDEX_PATTERN = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
+_WORD_PATTERN = r"[A-Za-z_][A-Za-z0-9_]*"
+_INDEX_PATTERN = r"\[-?[0-9]{1,6}\]"
 _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )

@@ -31,13 +31,15 @@ GRID_POINTS = 40  # points of each of two grids, linear and logarithmic
 POINTS_PER_DECADE = 3  # points of each decade below these grids
 FLANK_HALF_WIDTHS = (0.0, 1.0)  # distance of frequencies from a resonance, in half-widths
 # number of refined neighbourhoods of the largest errors, and frequencies in each
-REFINED_PEAKS, PEAK_FREQUENCIES = 4, 9
+REFINED_PEAKS = 4
+PEAK_FREQUENCIES = 9
 MAX_WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
 MIN_FREQUENCIES = 24  # frequencies of the largest circuits
 # share of a tolerance that is negligible, because estimates have two digits
 NEGLIGIBLE_SHARE = 0.01
 # number of random roundings of the matrices; ratio between the extremes of their effects
-PERTURBATION_COUNT, PERTURBATION_SPREAD = 4, 10.0
+PERTURBATION_COUNT = 4
+PERTURBATION_SPREAD = 10.0
 
 
 @dataclass(frozen=True)

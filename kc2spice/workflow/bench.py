@@ -48,7 +48,8 @@ DEFAULT_ERROR_LIMIT = 1e-4
 # refinement steps of each axis, coarse to fine
 REFINEMENT_NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
 # notches of the run that checks the reference, and of the reference
-CHECK_NOTCHES, REFERENCE_NOTCHES = 1.5, 2.0
+CHECK_NOTCHES = 1.5
+REFERENCE_NOTCHES = 2.0
 MAX_POINTS = 80
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 # CPU time relative to the scene's settings; slower settings are timed only once

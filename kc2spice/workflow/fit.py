@@ -64,11 +64,14 @@ from kc2spice.workflow.misfit import (
 # smallest relative noise: the error of the mesh, which may exceed the noise of the data
 MIN_NOISE = 1e-3
 # number of random samples of the ranges; number of descents, the first from the values of the scene
-RANDOM_SAMPLES, DESCENT_COUNT = 64, 4
+RANDOM_SAMPLES = 64
+DESCENT_COUNT = 4
 # ratio of successive widths of a range; smallest logarithmic width
-RANGE_RATIO, MIN_LOG_WIDTH = 0.25, 0.01
+RANGE_RATIO = 0.25
+MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of polynomials in a narrow parameter range
-RANGE_COUNT, MESH_CORRECTIONS = 8, 4  # successive ranges; mesh corrections in each range
+RANGE_COUNT = 8  # successive ranges
+MESH_CORRECTIONS = 4  # mesh corrections in each range
 CONVERGED_CHANGE = 0.1  # largest remaining change of the values due to the mesh, in standard errors
 DIFFERENCE_STEP = 1e-5  # step of finite differences, in logarithms of values
 # rms misfit relative to |Y|; a larger one indicates another resonance or another part
@@ -86,7 +89,9 @@ MIN_MODE_SHARE = 1e-3  # smallest capacitance of an excited mode, relative to th
 CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
 UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
-VALUES_FILE, RANGES_FILE, PAGE_FILE = "fit.toml", "box.toml", "report.html"
+VALUES_FILE = "fit.toml"
+RANGES_FILE = "box.toml"
+PAGE_FILE = "report.html"
 Box = dict[str, ParameterAxis]
 
 

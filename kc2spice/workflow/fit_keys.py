@@ -17,12 +17,15 @@ from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.grid import parse_value
 
 # half range of a key as a ratio: ceramics vary by 30 %, losses by a factor of ten
-VALUE_RANGE, LOSS_RANGE = 1.3, 10.0
+VALUE_RANGE = 1.3
+LOSS_RANGE = 10.0
 _LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
 # smallest height of a peak, relative to the largest conductance; relative to the noise
-MIN_PROMINENCE, MIN_NOISE_RATIO = 0.005, 8.0
+MIN_PROMINENCE = 0.005
+MIN_NOISE_RATIO = 8.0
 # standard errors within the parameter range of the netlist; its smallest relative half-width
-RANGE_ERRORS, MIN_HALF_WIDTH = 2.0, 1.1e-3
+RANGE_ERRORS = 2.0
+MIN_HALF_WIDTH = 1.1e-3
 
 
 def read_varied_keys(

@@ -212,7 +212,7 @@ def evaluate_probe(
     window: tuple[float, float] | None = None,
     reference: float = GAS_REFERENCE,
 ) -> float | None:
-    """Return the value of a probe; None for crossings or cycles that do not happen.
+    """Return the value of a probe; None if there is no crossing or cycle.
 
     With a ``window``, values outside of it are ignored. Sound pressure levels refer to the rms
     pressure ``reference`` [Pa].
@@ -268,7 +268,7 @@ def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> floa
 
 
 def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Return place and value of the largest magnitude of a response, between points too.
+    """Return place and value of the largest magnitude of a response, also between points.
 
     Near the pole ``a + j w0`` a response is ``R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a
     parabola in ``w``, which three points determine:
@@ -276,7 +276,7 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
     The largest point itself is returned at the ends of the range, and where the parabola exceeds it
-    by more than :data:`MAX_CORRECTION`: the points are then too far apart to tell.
+    by more than :data:`MAX_CORRECTION`: the points are then too far apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))

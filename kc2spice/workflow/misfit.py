@@ -3,13 +3,13 @@
 The input is the residuals ``r`` of a fit in units of the noise, real parts before imaginary parts,
 and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:
 
-- Residuals that are noise alone have m near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
+- Residuals that are only noise have m near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - Residuals of a model that does not describe its data are correlated over neighbouring
-  frequencies and largest where the keys act most, which that formula excludes. From
-  :data:`MODEL_ERROR_MISFIT` on, the scatter of the values is added when each of :data:`BAND_COUNT`
-  contiguous bands of frequency is left out in turn: the jackknife of blocks, whose covariance is
-  ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` for g bands (H. R. Kuensch, Annals of Statistics
-  17 (1989) 1217).
+  frequencies and are largest where the keys have the largest effect. This formula does not apply
+  to them. From :data:`MODEL_ERROR_MISFIT` on, the scatter of the values is added when each of
+  :data:`BAND_COUNT` contiguous bands of frequency is left out in turn: the jackknife of blocks,
+  whose covariance is ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` for g bands (H. R. Kuensch,
+  Annals of Statistics 17 (1989) 1217).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-# misfit that noise alone does not reach; with 50 points it scatters by 10 %
+# misfit above the misfit of noise, which scatters by 10 % with 50 points
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # misfit from which a fit warns
@@ -52,8 +52,8 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     ----------
     J : (2 n, k) array
         Derivatives of the residuals by the values.
-    residuals : (2 n,) array
-        Those at the end of the fit, real parts of n frequencies before imaginary parts.
+    residuals : (2 n,) array Residuals at the end of the fit, real parts of n frequencies before
+    imaginary parts.
     widest : (k,) array
         Ranges of the values; no standard error of the jackknife is larger.
     """
@@ -89,8 +89,7 @@ def find_likely_cause(
     ----------
     J : (2 n, k) array
         Derivatives of the residuals by the values.
-    residuals : (2 n,) array
-        Those at the end of the fit.
+    residuals : (2 n,) array Residuals at the end of the fit.
     causes : mapping
         For each cause, the most frequent first, the change (n,) of the logarithm of the admittance
         per amount, which is positive.

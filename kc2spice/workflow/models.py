@@ -112,7 +112,8 @@ def _number_subcircuits(build: Build) -> dict[str, str]:
     """Return the libraries of all parts, with different names for different subcircuits.
 
     Bodies with one part number may have different subcircuits, for example with different ports.
-    The first one has the part number as its name; the others are named after scene and part.
+    The first subcircuit has the part number as its name; the others are named after scene and
+    part.
     """
     scene, names = build.scene, dict(build.libraries)
     header = Header(scene.name, scene_hash(scene))

@@ -36,8 +36,8 @@ def find_operating_point(build: Build, deck: Deck) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
     The result is None for other analyses, for edited decks, and for scenes that contain linear
-    parts only: their small signals are the same about every point. A warning replaces the operating
-    point if it is not found.
+    parts only: their small signals are the same about every point. If no operating point is found,
+    a warning replaces it.
     """
     scene = build.scene
     if not scene.analysis.small or deck.text is not None:

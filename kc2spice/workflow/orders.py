@@ -1,11 +1,11 @@
 """Larger orders for reduced bodies whose error in a transient is too large.
 
-A run compares each reduced body with a model of more states under the loads that it recorded (see
+A run compares each reduced body with a model of more states under the recorded loads (see
 :mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction
-without a further run. The scene runs again with the least order whose error is within the limit, or
-with the one that has the smallest error. The new loads judge the new run, until its error is within
-the limit, or until more states are too many, do not help, or have been tried :data:`MAX_RERUNS`
-times.
+without a further run. The scene runs again with the least order whose error is within the limit,
+or with the order of the smallest error. The error of the new run is evaluated under its own loads.
+The search ends if the error is within the limit, if more states are too many or do not help, or
+after :data:`MAX_RERUNS` runs.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
 
 
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return keys of the scene with which a failed run may succeed; empty without any.
+    """Return keys of the scene with which a failed run may succeed; empty without such keys.
 
     The keys are those that the checks of the run suggest. If a body is still too coarse although
     its order is among the ``automatic`` keys, the order is doubled once more.
@@ -114,7 +114,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
 
 
 def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock) -> Run | None:
-    """Run the scene with the ``chosen`` orders; None if it fails or has no smaller error."""
+    """Run the scene with the ``chosen`` orders; None if the run fails or has no smaller error."""
     build = run.build
     keys: dict[str, Any] = {}
     for item in chosen:
@@ -144,7 +144,7 @@ def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock
 
 @dataclass(frozen=True)
 class _Search:
-    """Search result: the best larger order of a body, None without any, and the reason."""
+    """Search result: the best larger order of a body, or None, and the reason."""
 
     best: LargerOrder | None
     end: str
@@ -160,7 +160,7 @@ def _violated_checks(run: Run) -> dict[str, Check]:
 
 
 def _bodies_with_order(run: Run) -> Iterator[Part]:
-    """Yield the bodies that have an order; a body with parameter ranges has none."""
+    """Yield the bodies that have an order; bodies with parameter ranges have no order."""
     return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
@@ -173,7 +173,7 @@ def _search_larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
 def _search_larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
     """Search the smallest multiple of the order whose error is within the limit of ``check``.
 
-    Without one, the result is the multiple with the least error.
+    If no multiple is within the limit, the result is the multiple with the least error.
     """
     build, kind = run.build, part.type
     assert isinstance(kind, LinearBody)

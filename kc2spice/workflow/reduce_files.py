@@ -110,10 +110,10 @@ def reduce_file(
     out : Path, optional
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional
-        Lowest and highest frequency in Hz. By default it is the band of ``NAME.toml`` or of the
-        scene, otherwise it ends a little above the fifth natural frequency.
+        Lowest and highest frequency in Hz. The default is the band of ``NAME.toml`` or of the
+        scene. Without one, the band ends a little above the fifth natural frequency.
     tolerance : float, optional
-        Largest relative error over the band. The default is 1e-4 if ``order`` is not given.
+        Largest relative error over the band. The default is 1e-4 without ``order``.
     order : int, optional
         Number of unknowns of the result, instead of ``tolerance``.
     norm : "pointwise" or "peak", optional
@@ -148,7 +148,7 @@ def reduce_file(
     GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT` and
         :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
-        is noticed before the reduction; nothing was written.
+    is checked before the reduction. Nothing is written.
     SimulationError : the tolerance cannot be met; nothing was written.
     GateMissedError : the circuit of the reduced model misses it; nothing was written.
 
@@ -205,7 +205,7 @@ def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> Non
 
     Raises
     ------
-    UsageError : one of them has a value.
+    UsageError : one of these options has a value.
     """
     for option, value in options.items():
         if value is not None:
@@ -306,7 +306,7 @@ def load_full_model(path: Path | str) -> LinearModel:
 def _require_names(model: LinearModel, name: str) -> None:
     """Check the port names of the model before the reduction, which can take hours.
 
-    A model of one state with the same ports is written as a subcircuit.
+    As a test, a model of one state with the same ports is written as a subcircuit.
 
     Raises
     ------
@@ -609,8 +609,9 @@ def export_rom(
 
     Raises
     ------
-    UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
-        be written, or see :func:`kc2spice.workflow.decks.protect_other_decks`; nothing was written.
+    UsageError : the file is not a reduced model, the model has no such subcircuit, or the dialect
+    cannot be written; also see :func:`kc2spice.workflow.decks.protect_other_decks`. Nothing is
+    written.
     """
     if dialect not in dialect_names():
         raise unknown("this dialect does not exist", dialect, dialect_names(), "--dialect")

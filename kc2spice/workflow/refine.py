@@ -50,13 +50,15 @@ DEFAULT_ERROR_LIMIT = 1e-2  # error budget for checks.reduction without the key 
 # most this multiple of the change of a metric.
 REMAINDER_FACTOR = 2.0
 # largest reduction of an error per notch; largest number of notches in one step
-MAX_NOTCH_GAIN, MAX_NOTCH_STEP = 4.0, 3
+MAX_NOTCH_GAIN = 4.0
+MAX_NOTCH_STEP = 3
 # smallest reference of a metric, relative to the largest metric with the same unit
 NEAR_ZERO_SHARE = 0.1
 SMALL_SIGNAL_SHARE = 1e-6  # the same for small signals, whose metrics are not small differences
 # largest ratio of successive estimates that counts as convergence; number of exceptions after which
 # the search ends
-CONVERGENCE_RATIO, MAX_STALLS = 0.9, 2
+CONVERGENCE_RATIO = 0.9
+MAX_STALLS = 2
 
 Notches = Mapping[str, float]  # number of notches of each axis, keyed by its name
 
@@ -68,7 +70,7 @@ class Runs:
     """Runs of a scene keyed by the notches of its axes; each is computed once.
 
     Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of further runs for
-    an error estimate, besides that of the unchanged scene.
+    an error estimate, besides the run of the unchanged scene.
     """
 
     def __init__(
@@ -106,7 +108,7 @@ class Runs:
 
     @property
     def all_axes(self) -> tuple[Axis, ...]:
-        """Axes that can be moved finer, then those at their finest value."""
+        """Axes that can be refined, then axes at their finest value."""
         return (*self.axes, *self.finest)
 
     @cached_property
@@ -119,7 +121,7 @@ class Runs:
 
         Raises
         ------
-        UsageError : too many unknowns, or too much memory.
+        UsageError : the mesh needs too many unknowns or too much memory.
         """
         for axis in self.axes:
             part = self._body_of_axis(axis)
@@ -140,7 +142,7 @@ class Runs:
                 raise self.refused
 
     def _body_of_axis(self, axis: Axis) -> Part | None:
-        """Return the body whose mesh an axis refines; None if it refines no mesh."""
+        """Return the body whose mesh an axis refines; None if the run refines no mesh."""
         for part in self.start.build.scene.parts.values() if axis.model else ():
             refined = axis.name.startswith(f"{part.key_prefix}.")
             if refined and isinstance(part.type, MeshedBody):
@@ -251,7 +253,7 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
 class Estimate:
     """Run with its axes moved by ``notches``, and the error estimate of each metric.
 
-    The estimates come from a refined run. The axes ``unmoved`` could not be moved; their part of
+    The estimates come from a refined run. The axes ``unmoved`` could not be refined; their part of
     the largest error is ``fixed``.
     """
 
@@ -367,9 +369,10 @@ def _finest_mesh_reason(runs: Runs, now: Estimate) -> str:
 def estimate_errors(runs: Runs, notches: Notches) -> Estimate | None:
     """Estimate the error of each metric at ``notches``; None if no refined run has a result.
 
-    The refined run has all axes a notch finer. If that is too much for the machine, its meshes
-    remain. The error of axes at their finest value follows from coarser runs
-    (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report this estimate.
+    The refined run has all axes a notch finer. If the refined meshes are too large for the
+    machine, the meshes remain unchanged. The error of axes at their finest value follows from
+    coarser runs (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report this
+    estimate.
     """
     now = runs.run_at(notches)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -418,7 +421,7 @@ def _refine_dominant_axis(
     """Refine the axis that changes the metrics most, by several notches if necessary.
 
     ``shares`` are the changes by single axes. A call adds missing entries, and deletes the entry of
-    the moved axis. Returns None if no axis can be moved.
+    the moved axis. The result is None if no axis can be refined.
     """
     for axis in runs.axes:
         if axis.name not in shares and axis.name not in now.unmoved:
@@ -449,7 +452,7 @@ def _add_notches(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notche
 
 
 def _try_run(runs: Runs, notches: Notches) -> Run | None:
-    """Return the run at ``notches``; None if it has no result, or if no runs are left."""
+    """Return the run at ``notches``; None if the run has no result, or if no runs are left."""
     try:
         return runs.run_at(notches) if runs.has_runs_left else None
     except (SimulationError, UsageError):

@@ -29,7 +29,7 @@ MAX_UNKNOWNS = 600  # eigenvalues of larger systems take seconds
 # through 1/|y|^2 at three points gives the maximum of a single pole exactly; the neighbours of a
 # pole change that by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it). Wider ranges
 # follow, each WIDENING_FACTOR times as wide with the same number of points, up to the distance of
-# the scene's own frequencies: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by
+# frequencies of the scene: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by
 # equipartition).
 NARROWEST_HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
 RANGE_POINTS = 33  # points of each range
@@ -103,7 +103,8 @@ def _frequency_spacing(build: Build, f: float) -> float:
 def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
     """Return frequency and half-width [Hz] of resonances and notches in rising order.
 
-    They are those in the range of the scene. A notch is one whose least value a probe reads.
+    The resonances are within the range of the scene. Only notches whose least value a probe reads
+    are resolved.
     """
     analysis, laws = build.scene.analysis, scene_laws(build)
     poles = np.concatenate([_compute_poles(laws), _compute_zeros(laws)])
@@ -160,7 +161,7 @@ def _compute_zeros(laws: SceneLaws) -> np.ndarray:
 
 
 def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return the zeros of each response ``of`` a network; none of a large network."""
+    """Return the zeros of each response ``of`` a network; empty for a large network."""
     system = assemble_system(network.laws, network.joins) if of else None
     if system is None or system.size > MAX_UNKNOWNS:
         return {}

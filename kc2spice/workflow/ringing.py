@@ -2,8 +2,8 @@
 
 Error control follows every mode that rings, also far above the band of the reduction, where a
 contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
-amplitude. A mode of the angular frequency ``w`` thus takes steps of ``(12 reltol)^(1/3) / w`` as
-long as it lasts. Without damping, the ringing lasts to the end of the run.
+amplitude. While a mode of the angular frequency ``w`` rings, the steps are ``(12 reltol)^(1/3) /
+w``. Without damping, the ringing lasts to the end of the run.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ LOG_AMPLITUDE_RATIO = math.log(1e3)
 MANY_POINTS = 3e5  # time points above which a warning is printed: half a minute for 24 states
 # CPU time of ngspice [s] per time point, and per time point and state, measured with kick_and_catch
 # of 24 and of 178 states on a processor of 2.5 GHz
-POINT_SECONDS, STATE_SECONDS = 5e-5, 1.4e-6
+POINT_SECONDS = 5e-5
+STATE_SECONDS = 1.4e-6
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Ringing:
 
 
 def time_per_point(states: int) -> float:
-    """Return the CPU time [s] of ngspice for a time point with a body of so many states."""
+    """Return the CPU time [s] of ngspice per time point with a body of ``states`` states."""
     return POINT_SECONDS + STATE_SECONDS * states
 
 
@@ -69,9 +70,9 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     Returns
     -------
     Ringing or None
-        The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first,
-        of which ``t_i`` is the time until which a mode rings that is at least as fast. None if the
-        model has no known modes.
+        The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first.
+        Until the time ``t_i``, a mode at least as fast as mode i rings. None if the model has no
+        known modes.
     """
     model = resonators(rom)
     if model is None:
@@ -92,8 +93,8 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
 def warn_of_long_run(build: Build, deck: Deck) -> None:
     """Warn before a run that takes more than :data:`MANY_POINTS` time points.
 
-    The cause is the largest time step, or the ringing of a body under a contact that decides on the
-    steps.
+    The cause is the largest time step, or the ringing of a body under a contact that determines
+    the steps.
     """
     scene = build.scene
     if scene.analysis.type != "transient":

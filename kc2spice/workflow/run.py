@@ -112,11 +112,12 @@ def run_scene(
     trust : bool, default False
         Whether netlists that the scene includes may act on this machine.
     deck : Path, optional
-        Netlist of this scene that was edited by hand. It is simulated instead of the scene's own.
+        Netlist of this scene that was edited by hand. It is simulated instead of the deck of the
+        scene.
     keep : bool, default False
         Whether to keep the raw file and the log of the simulator.
     png : bool, default False
-        Whether to write the figures of the report as PNG files too.
+        Whether to write the figures of the report also as PNG files.
 
     Returns
     -------
@@ -126,7 +127,7 @@ def run_scene(
     Raises
     ------
     UsageError : ``deck`` does not save the vectors of the scene's metrics.
-    MissingToolError : no ngspice; noticed before any FE is computed.
+    MissingToolError : ngspice is missing, which is checked before finite elements are computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed`` until a run into ``out`` succeeds.
 
@@ -166,9 +167,9 @@ def complete_run(
     the files of a failed run are kept beside it.
 
     A key without a value, such as the number of contact rings, gets an automatic value. If this
-    value proves too small, the scene runs again with a larger one, which a warning names. The scene
-    also runs again with more states of a reduced body whose error under the recorded loads is
-    too large.
+    value is too small, the scene runs again with a larger value, and a warning states it. The
+    scene also runs again with more states of a reduced body whose error under the recorded loads
+    is too large.
 
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """

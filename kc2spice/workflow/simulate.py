@@ -98,8 +98,8 @@ def simulate_deck(
 ) -> Run:
     """Simulate a deck with the retries of its scene, and judge the result.
 
-    The checks are those of the scene's parts. If a deck that was edited by hand is not wired as the
-    scene, that is a warning.
+    The checks are those of the scene's parts. If the wiring of an edited deck differs from the
+    scene, a warning is printed.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
 def add_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
     """Return the waves and these powers.
 
-    A power is that of each instant, or in ``ac`` the mean over a period.
+    A power is the instantaneous power, or in ``ac`` the mean over a period.
     """
     result = dict(waves.data)
     for name, terms in powers.items():
@@ -253,8 +253,8 @@ def _run_each_from_rest(
 ) -> Waveforms:
     """Return the points of all analyses of ``deck``, each from a separate run.
 
-    Within one run, ngspice begins the search for the next operating point at the response that the
-    last analysis left. If several operating points exist, such a run may find another one.
+    Within one run, ngspice begins the search for the next operating point at the response of the
+    last analysis. If several operating points exist, such a run may find another one.
     """
     first = run_deck(replace(deck, refinements=()), directory, progress, timeout)
     parts = [first.data]

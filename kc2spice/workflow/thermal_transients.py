@@ -21,8 +21,10 @@ from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
-WARNED_UNSETTLED = 0.01  # share of the resistance beyond the measured times that warns
-# Deviation (rms) over noise that warns. Drift and rounding of instruments reach 1.1.
+# share of the resistance beyond the measured times above which a warning is printed
+WARNED_UNSETTLED = 0.01
+# Deviation (rms) over noise above which a warning is printed. Drift and rounding of instruments
+# reach 1.1.
 WARNED_EXCESS = 1.5
 NEGLIGIBLE_MISFIT = 1e-3  # deviation (rms) that does not warn although the noise is smaller
 FEWEST_STEPS = 3.0  # change of the temperature over its noise below which there is no step
@@ -44,7 +46,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
 
     Raises
     ------
-    UsageError : no positive power beside a temperature, or a power beside a thermal impedance.
+    UsageError : a temperature without a positive power, or a thermal impedance with a power.
     """
     if data.quantity == "zth":
         if power is not None:
@@ -126,7 +128,7 @@ def network_of_transient(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a reduced heat model in a form of a network, or as it is without a form.
+    """Return a reduced heat model in the form of a network, or unchanged without a form.
 
     Raises
     ------
@@ -155,7 +157,7 @@ def require_one_heat_port(model: LinearModel) -> None:
 
     Raises
     ------
-    UsageError : it has not.
+    UsageError : the model has other ports.
     """
     if len(model.ports) == 1 and model.ports[0].domain is THERMAL:
         return

@@ -7,8 +7,8 @@ Both rules turn ``e^(r t)`` into another exponential. The numerical solution of 
 the largest step that keeps its error within :data:`RMS_ERROR_LIMIT` therefore follow in closed
 form.
 
-Motions with a Q factor below :data:`RESONANT_Q` do not limit the step, however fast they are: the
-error control resolves them. Sums that cancel do not limit it either.
+Motions with a Q factor below :data:`RESONANT_Q` do not limit the step at any speed, because the
+error control resolves them. Sums that cancel also do not limit the step.
 """
 
 from __future__ import annotations
@@ -36,15 +36,18 @@ if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
 # largest errors of the rms of a wave and of the wave, relative to its largest value
-RMS_ERROR_LIMIT, SHAPE_ERROR_LIMIT = 5e-4, 1e-3
+RMS_ERROR_LIMIT = 5e-4
+SHAPE_ERROR_LIMIT = 1e-3
 # largest numbers of time points for the limits of the shape and of the rms
-MAX_SHAPE_POINTS, MAX_RMS_POINTS = 2e5, 4e6
+MAX_SHAPE_POINTS = 2e5
+MAX_RMS_POINTS = 4e6
 EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
 # s, largest step in nonlinear circuits, in which error control resolves the changes
 NONLINEAR_STEP = 10e-6
 RESONANT_Q = 2.0  # Q factor above which the errors of steps accumulate
-SAMPLE_COUNT, WINDOW_COUNT = 2500, 16
+SAMPLE_COUNT = 2500
+WINDOW_COUNT = 16
 MAX_COMPARED_POINTS = 30_000  # largest number of points at which a run is compared
 # smallest size of a compared wave, relative to the largest wave with its unit (ngspice does not
 # iterate smaller ones)
@@ -59,8 +62,8 @@ MAX_UNKNOWNS = 600  # larger circuits take minutes
 def choose_largest_step(build: Build) -> StepLimit:
     """Return the largest time step of a transient.
 
-    The result is ``solver.max_step`` if the scene sets this key. Otherwise it is the smallest step
-    that a part or a resonance of a linear circuit requires.
+    The result is ``solver.max_step`` if the scene sets this key. Otherwise the largest step is the
+    smallest step that a part or a resonance of a linear circuit requires.
     """
     scene = build.scene
     if scene.solver.max_step is not None:
@@ -136,7 +139,7 @@ class LinearisedScene:
 
     @cached_property
     def motions(self) -> tuple[ExponentialSolution | None, ...]:
-        """Exact motion of each network; None if it is too large or has no solution."""
+        """Exact motion of each network; None if the network is too large or has no solution."""
         return tuple(_solve_motion(network, self.build.scene.stop) for network in self.networks)
 
 
@@ -199,7 +202,7 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
     """Find the largest step up to ``start`` with which ``rule`` is accurate.
 
     The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the shape is at most
-    :data:`SHAPE_ERROR_LIMIT`, unless that takes :data:`MAX_SHAPE_POINTS` points or more.
+    :data:`SHAPE_ERROR_LIMIT`, unless this requires :data:`MAX_SHAPE_POINTS` points or more.
     """
     peaks = motion.peaks()
     t = motion.samples(SAMPLE_COUNT)

@@ -322,7 +322,8 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
 # Matrix letters, keyed by the beginning of Nastran's matrix names.
 _NASTRAN_PREFIXES = {"K": "K", "K4": LOSS_LETTER, "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
-_SQUARE, _SYMMETRIC = 1, 6
+_SQUARE = 1
+_SYMMETRIC = 6
 
 
 def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:

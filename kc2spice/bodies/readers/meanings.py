@@ -90,7 +90,8 @@ class ColumnKind:
 
 _PHASE = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
 _MAGNITUDE = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
-_REAL, _IMAGINARY = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
+_REAL = r"(re|real|realpart)"
+_IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
 def _affix(of: str, word: str) -> str:

@@ -39,7 +39,8 @@ _GROUPED_PATTERN = re.compile(
 )
 SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate the fields
 _LINE_WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
-MIN_COLUMNS, MIN_ROWS = 2, 2
+MIN_COLUMNS = 2
+MIN_ROWS = 2
 MAX_LINES = 100_000  # lines of a file: five times the accepted number of frequencies
 MAX_COLUMNS = 200  # fields of a line
 MAX_LINE_LENGTH = 4000  # characters of a row or of a line of titles

@@ -9,7 +9,8 @@ from kc2spice.bodies.readers.meanings import Quantity
 from kc2spice.core.errors import UsageError
 
 _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
-_NUMBER_FORMS, _PARAMETER_KINDS = ("ri", "ma", "db"), tuple("syzgh")
+_NUMBER_FORMS = ("ri", "ma", "db")
+_PARAMETER_KINDS = tuple("syzgh")
 _OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 

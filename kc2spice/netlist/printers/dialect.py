@@ -367,7 +367,8 @@ def _remove_letters(match: re.Match[str]) -> str:
     return tree.text if isinstance(tree, Number) else match[0]
 
 
-_ONE, _ZERO = Number("1"), Number("0")
+_ONE = Number("1")
+_ZERO = Number("0")
 _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 

@@ -18,7 +18,8 @@ from kc2spice.netlist.printers.dialect import Dialect
 ENTRY_POINT_GROUP = "kc2spice.dialects"
 DIALECT_PACKAGE = "kc2spice.netlist.printers.dialects"
 # the base printer of all dialects, and the only output that is not a netlist
-NGSPICE, VERILOG_A = "ngspice", "verilog-a"
+NGSPICE = "ngspice"
+VERILOG_A = "verilog-a"
 _dialects: dict[str, type[Dialect]] = {}
 
 

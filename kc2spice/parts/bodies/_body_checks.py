@@ -37,7 +37,8 @@ DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or s
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
 STATE_FACTOR = 2  # recommended number of states, relative to a model that is too coarse
 # error estimates above which a run fails, or prints a warning
-FAILURE_ERROR, WARNING_ERROR = 0.1, 0.01
+FAILURE_ERROR = 0.1
+WARNING_ERROR = 0.01
 # Error of a port's compliance above the band. A body in contact with a larger error is checked
 # under the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 %
 # (rms); at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.

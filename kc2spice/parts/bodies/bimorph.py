@@ -43,7 +43,9 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-ELEMENTS_ALONG, ELEMENTS_ACROSS = 20, 4  # elements along and across the beam at refine = 1
+# elements along and across the beam at refine = 1
+ELEMENTS_ALONG = 20
+ELEMENTS_ACROSS = 4
 GRADING_RATIO = 1.6
 
 

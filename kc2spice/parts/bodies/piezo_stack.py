@@ -53,12 +53,14 @@ DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio o
 # Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
 # add up:
 # launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
-RINGING, UNDAMPED = 4e-3, 2e-4
+RINGING = 4e-3
+UNDAMPED = 2e-4
 # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
 LOW_KICK_FACTOR = 0.03
 # The same for a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
-DOWNWARDS, SLOWER = 2e-3, 0.1
+DOWNWARDS = 2e-3
+SLOWER = 0.1
 OVERSHOOT = 2.0  # a sudden load causes twice the static displacement of an elastic body
 MAX_TIME_STEP = 10e-6  # s, time step that resolves a kick, its contact and the flight after it
 

@@ -39,10 +39,13 @@ CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
 # Elements relative to the clamped capacitance and the frequency, where the iteration begins: those
 # of a ceramic with a coupling of 0.22 and a Q factor of 100.
-START_RATIO, START_QUALITY = 0.05, 100.0
+START_RATIO = 0.05
+START_QUALITY = 100.0
 # ratio of a motional to the clamped capacitance, below the ratio of any crystal
 SMALLEST_RATIO = 1e-9
-FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, start of the iteration without stated values
+# Hz and F, start of the iteration without stated values
+FREQUENCY = 1e4
+CLAMPED = 1e-9
 
 
 def _wrap_in_list(value: object) -> object:

@@ -26,7 +26,9 @@ from kc2spice.scene.parttype import register
 
 # relative rounding error of the frequency of a crystal: a tenth of the usual tolerance
 FREQUENCY_ROUNDING = 1e-6
-START_RATIO, START_QUALITY = 1 / 300, 5e4  # c1 / c0 and Q of usual crystals
+# c1 / c0 and Q of usual crystals
+START_RATIO = 1 / 300
+START_QUALITY = 5e4
 SHUNT_CAPACITANCE = 3e-12  # F, typical of crystals
 
 

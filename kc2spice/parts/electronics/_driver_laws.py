@@ -22,7 +22,8 @@ RAIL_STIFFNESS = 1e3  # 1/V, rate beyond a rail relative to the slew rate
 FULL_TURN = repr(2 * math.pi)
 # parameter with the resistance [Ohm] of the last resistor of each circuit, ``Rout``
 SERIES_PARAMETER = "series_resistance"
-GATE, THRESHOLD = 12.0, 3.0  # V, supply of the gates; threshold voltage of the transistors
+GATE = 12.0  # V, supply of the gates
+THRESHOLD = 3.0  # threshold voltage of the transistors
 SATURATION_CURRENT = 1e-14  # A, of the diodes between source and drain
 THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 

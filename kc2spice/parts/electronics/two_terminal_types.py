@@ -63,12 +63,19 @@ class Row(NamedTuple):
     drive: str
 
 
-VOLT, AMPERE, FORCE = 'dc = "1 V"', 'kind = "current"\ndc = "1 A"', 'kind = "force"\ndc = "10 mN"'
+VOLT = 'dc = "1 V"'
+AMPERE = 'kind = "current"\ndc = "1 A"'
+FORCE = 'kind = "force"\ndc = "10 mN"'
 HEAT = 'kind = "heat_flow"\ndc = "1 W"'
 HEAT_PULSE = 'kind = "heat_flow"\npulse = { high = "1 W", width = "10 s", edge = "1 ms" }'
-V, I, X = voltage("v", "a", "b"), current("i", "a", "b"), displacement("x", "a", "b")
-PUSH, BLOW = 'kind = "pressure"\ndc = "1 Pa"', 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
-T, P, U = branch("temperature"), branch("pressure"), branch("volume_velocity")
+V = voltage("v", "a", "b")
+I = current("i", "a", "b")
+X = displacement("x", "a", "b")
+PUSH = 'kind = "pressure"\ndc = "1 Pa"'
+BLOW = 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
+T = branch("temperature")
+P = branch("pressure")
+U = branch("volume_velocity")
 TABLE = (
     Row("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
         {"content": "0.5*v^2/resistance", "conductors": ("v",)}, VOLT),

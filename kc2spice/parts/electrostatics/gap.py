@@ -75,7 +75,8 @@ MAX_CAPACITANCE_CHANGE = 1e-5
 MAX_SERIES_INDEX = 99
 REFINEMENT_RATIO = 2  # ratio of the branches of the film in verify to those in the netlist
 # number of branches that follows from the scene: the motion may be faster than the drive
-FEWEST, MOST = 3, 100
+FEWEST = 3
+MOST = 100
 
 
 class Fringing(Section):

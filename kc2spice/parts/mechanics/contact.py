@@ -48,7 +48,9 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 # estimate of the reduction, whose band it exceeds; without a certificate, relative; and the largest
 # relative limit. A pointwise error at a sharp resonance may be any number, and runs print a warning
 # of loads with an error above 1 %.
-ESTIMATE_FACTOR, DEFAULT_LAUNCH_LIMIT, MAX_LAUNCH_LIMIT = 0.4, 1e-3, 1e-2
+ESTIMATE_FACTOR = 0.4
+DEFAULT_LAUNCH_LIMIT = 1e-3
+MAX_LAUNCH_LIMIT = 1e-2
 # largest energy that the springs may gain or lose, relative to the energy that passed through them
 MAX_ENERGY_ERROR = 1e-3
 # basis functions across the radius of a contact: the error is 5e-3, with half as many 3e-2
@@ -62,7 +64,8 @@ MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # m above the body at t = 0 that counts as resting on it
 CONTACT_FREQUENCY = 500e3  # Hz, frequency at which a contact excites bodies
 # factors of solver.reltol for Hertzian and for damped contacts
-CURVED_RELTOL_FACTOR, DAMPED_RELTOL_FACTOR = 0.1, 0.01
+CURVED_RELTOL_FACTOR = 0.1
+DAMPED_RELTOL_FACTOR = 0.01
 MIN_EVENTS = 20  # number of events that any reltol resolves
 INDENTATION_PIN = "dent"  # pin that meets the port of an elastic sphere
 

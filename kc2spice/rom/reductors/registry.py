@@ -15,9 +15,12 @@ from kc2spice.rom.reductors.irka import Irka
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 from kc2spice.rom.reductors.response_pod import ResponsePod
 
-POD, TWO_SIDED_POD = ResponsePod(), ResponsePod(two_sided=True)
-BALANCED, UNSCALED = BalancedTruncation(), BalancedTruncation(scaled=False)
-OVER_BAND, CONGRUENT = BandLimitedBalancing(), CongruentBalancing()
+POD = ResponsePod()
+TWO_SIDED_POD = ResponsePod(two_sided=True)
+BALANCED = BalancedTruncation()
+UNSCALED = BalancedTruncation(scaled=False)
+OVER_BAND = BandLimitedBalancing()
+CONGRUENT = CongruentBalancing()
 BLOCK_KRYLOV = BlockKrylov()
 _BUILT_IN = (
     POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, CONGRUENT, BLOCK_KRYLOV, RationalKrylov(),

@@ -65,7 +65,8 @@ from kc2spice.workflow.sweep.workers import Workers, is_lost_worker
 WRITERS = {"csv": write_csv, "parquet": write_parquet}
 
 
-ROWS_FILE, PAGE_FILE = "rows.sqlite", "sweep.html"
+ROWS_FILE = "rows.sqlite"
+PAGE_FILE = "sweep.html"
 LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
@@ -76,8 +77,8 @@ LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=T
 class Sweep:
     """Checked sweep: points, settings of the workers, and columns of the table.
 
-    ``scene`` is that of the first point, ``units`` those of the swept keys; ``metrics`` are the
-    requested columns, empty for all.
+    ``scene`` is the scene of the first point, ``units`` are the units of the swept keys;
+    ``metrics`` are the requested columns, empty for all.
     """
 
     scene: Scene
@@ -165,7 +166,7 @@ def sweep_of_plan(
 
     Raises
     ------
-    UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
+    UsageError : the scene is invalid at the first point, or at an end of one of the ranges.
     """
     first, *_ = list(map(job.load, plan.ends()))
     return Sweep(first, job, plan, units, metrics)
@@ -247,13 +248,13 @@ def run_points(
 
     The first worker that needs a model builds it into the cache; all other workers wait for this
     entry. A point that is interrupted, by the death of a worker or another fault of the machine, is
-    run once more after all others. Only a point that ends its worker again fails.
+    run once more after all others. A point fails if it ends its worker again.
 
     Raises
     ------
-    UsageError : the deck has not a subcircuit parameter, or not with one of the swept values; the
-        first good point has nothing for a column.
-    MissingToolError : no workers, or no ngspice where they are.
+    UsageError : the deck lacks a subcircuit parameter, or its range excludes a swept value; or the
+    first successful point has no value for a column.
+    MissingToolError : there are no workers, or they have no ngspice.
     """
     ends = chain.from_iterable(map(subcircuit_parameters, definition.plan.ends()))
     if changed := [*definition.job.parameters, *ends]:
@@ -278,8 +279,7 @@ def _complete_points(
 ) -> Iterator[tuple[int, PointResult]]:
     """Yield outcomes of ``points`` as they end; only as many points run as there are workers.
 
-    If a worker dies, all points that were running are ``LOST_POINT``, and the workers are started
-    again.
+    If a worker ends, all running points become ``LOST_POINT``, and the workers are started again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:
@@ -362,7 +362,8 @@ def run_sweep(
     ------
     UsageError : ``out`` contains another sweep, another process writes to it, or it cannot be
         written.
-    MissingToolError : no workers, or no ngspice where they are; no pyarrow for Parquet.
+    MissingToolError : there are no workers, they have no ngspice, or pyarrow is missing for
+    Parquet.
 
     Examples
     --------
@@ -404,7 +405,7 @@ def table_file_name(table_format: str) -> str:
 
     Raises
     ------
-    UsageError : no such format.
+    UsageError : the format does not exist.
     MissingToolError : no pyarrow for Parquet.
     """
     if table_format not in WRITERS:

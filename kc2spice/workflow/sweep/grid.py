@@ -54,7 +54,7 @@ class RandomSample:
 
 
 def _make_zero_crossing_error(text: str) -> UsageError:
-    """Return the error of a logarithmic range whose ends have no common sign."""
+    """Return the error of a logarithmic range whose ends have different signs."""
     return UsageError(
         "a log range cannot start at, end at or cross 0",
         where="--set",
@@ -272,8 +272,9 @@ def make_plan(
 ) -> Plan:
     """Combine the ranges and the random samples, or vary all keys together.
 
-    A sample has a value of every random key, so that these keys form one block. With ``latin`` each
-    of n equally likely intervals of a key contains one value (McKay, Beckman, Conover 1979).
+    A sample contains a value of every random key, so that these keys form one block. With
+    ``latin`` each of n equally likely intervals of a key contains one value (McKay, Beckman,
+    Conover 1979).
 
     Raises
     ------

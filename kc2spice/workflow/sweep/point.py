@@ -88,7 +88,7 @@ def read_scene_text(name_or_path: str) -> SceneText:
 
     Raises
     ------
-    UsageError : there is no such scene, or one of its files is missing or not allowed.
+    UsageError : the scene does not exist, or one of its files is missing or not allowed.
     """
     if name_or_path in list_gallery():
         return SceneText(name_or_path, None)
@@ -215,8 +215,8 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
 
     A part whose key has the name and the value of a parameter receives the new value. A part
-    without a key of this name no longer describes the deck. It has neither checks nor an energy
-    balance.
+    without a key of this name no longer describes the deck. This part has neither checks nor an
+    energy balance.
     """
     known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:

@@ -41,7 +41,8 @@ class RowStore:
 
     Raises
     ------
-    UsageError : another process writes to it, or it contains another sweep or other data.
+    UsageError : another process writes to the database, or it contains another sweep or other
+    data.
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
@@ -83,7 +84,7 @@ class RowStore:
             )
 
     def record(self, point: int, outcome: PointResult) -> None:
-        """Write one row in place of an earlier one of the same point.
+        """Write one row, and replace an earlier row of the same point.
 
         Raises
         ------

@@ -107,7 +107,8 @@ def _initialise_worker(scratch: str) -> None:
 def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
     """Return the workers of a Dask scheduler, or ``count`` on this machine for ``local``.
 
-    A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
+    A scheduler must answer first within ``patience`` seconds, and after a connection loss within a
+    minute.
     """
     limits = chain([patience], repeat(RECONNECT_TIME))
 

@@ -34,7 +34,8 @@ from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.realize import apply_unit_load
 
 # frequencies at which a large full model is solved: for a sample, and with --full
-SAMPLE_FREQUENCIES, FULL_FREQUENCIES = 3, 40
+SAMPLE_FREQUENCIES = 3
+FULL_FREQUENCIES = 40
 MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which a full model is solved at all frequencies
 NETLIST_FREQUENCIES = 120  # frequencies at which the netlist is simulated
 # accepted difference, as a multiple of the effect of the leaks of electrical ports
@@ -55,7 +56,7 @@ def verify_body(
 ) -> None:
     """Add both comparisons of a body to ``findings``.
 
-    ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
+    ``libraries`` are the subcircuits to test, from a shipped deck or from this run. The
     limit of the reduced model is the error estimate of its certificate, which is within the
     tolerance.
     """
@@ -112,9 +113,10 @@ def list_netlist_checks(
 ) -> list[Check]:
     """Return checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
 
-    The response is compared with that of the reduced model: all ports together, capacitance and
-    charge for each load at each electrical port by their own sizes. ``gate`` is the largest error.
-    Other checks are passivity and reciprocity. The temperatures of the ports ``given`` are given.
+    The response is compared with the response of the reduced model: all ports together, and
+    separately the capacitance and the charge of each electrical port for each load, relative to
+    their own sizes. ``gate`` is the largest error. Other checks are passivity and reciprocity. The
+    temperatures of the ports ``given`` are given.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.paired]
@@ -135,7 +137,7 @@ def list_netlist_checks(
             Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
-        # a leak takes charge that a load separates, but exerts no force due to a voltage
+        # a leak carries away charge that a load separates, but a voltage at a leak causes no force
         limit = max(NETLIST_ROUNDING, leaked)
         checks += list_structure_checks(
             f"{name}: netlist", frequency, emitted, limit, rates=not is_heat_model(rom)
@@ -238,7 +240,7 @@ def list_structure_checks(
     ``s H`` maps forces and voltages to velocities and currents, and H heat flows to temperatures; a
     network is passive if its Hermitian part has no negative eigenvalue at any frequency, relative
     to the largest entry of the balanced response. Reciprocity is checked for each pair of ports,
-    relative to its own size; a single port has no pair. Heat models count relative to the balanced
+    relative to the response between these ports. Heat models count relative to the balanced
     response, because their responses between distant ports decay exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
@@ -264,12 +266,12 @@ def simulate_netlist_response(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the response of the subcircuit in ngspice in SI units at its frequencies [Hz].
 
-    One copy of the subcircuit per port, all in one ``.ac`` deck: electrical and acceleration pins
-    are held by voltage sources, mechanical ones are free but for the unit load.
+    One copy of the subcircuit per port, all in one ``.ac`` deck: voltage sources drive electrical
+    and acceleration pins, mechanical pins are free except for the unit load.
 
     Raises
     ------
-    UsageError : the libraries have no such subcircuit.
+    UsageError : the libraries do not contain this subcircuit.
     """
     deck = _make_response_deck(part, build, libraries, band)
     with clock.time_stage("simulate", f"frequency response of {part.name}"):

@@ -27,7 +27,7 @@ MIN_METRIC_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Solution:
-    """Waves of one solution path with their metrics, and the units of these."""
+    """Waves of one solution path with their metrics and units."""
 
     waves: Waveforms
     metrics: Mapping[str, Any]
@@ -81,7 +81,7 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
     """Return the difference that a gate limits.
 
     The difference is nan if only one solution has a value. It is None if neither solution has a
-    value, such as the launch velocity of a body that never leaves.
+    value, such as the launch velocity of a body without a launch.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
@@ -160,7 +160,7 @@ def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndar
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
     """Return the error of every wave that both solutions contain.
 
-    Waves that are zero but for rounding errors are left out. The rms is an integral over time, so
+    Waves that are zero within rounding errors are left out. The rms is an integral over time, so
     that closely spaced points at a contact do not weigh more than others.
     """
     result = []
@@ -189,7 +189,7 @@ def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
 
 
 def _rounding_speed(name: str, waves: Waveforms) -> float:
-    """Return the speed [m/s] that rounding errors give a body at rest; 0 for other waves."""
+    """Return the speed [m/s] that rounding errors cause in a body at rest; 0 for other waves."""
     stem, _, last = name.rpartition(".")
     position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
     if last != "v" or position is None or "time" not in waves:

@@ -33,7 +33,7 @@ MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which every frequency is solved dir
 
 
 def with_full_models(build: Build, clock: Clock) -> Build | None:
-    """Return ``build`` with full instead of reduced models; None if there are none.
+    """Return ``build`` with full instead of reduced models; None without full models.
 
     In a transient only bodies have full models, which the integrator solves at their ports.
     """
@@ -87,7 +87,7 @@ def solve_full_models(
     clock: Clock,
     thorough: bool,
 ) -> FullSolution | None:
-    """Solve the scene with its full models; None if no network contains one.
+    """Solve the scene with its full models; None if no network contains a full model.
 
     ``ours`` are the waves of ngspice, the values of sources on ``replayed`` nets. ``exact`` is the
     solution with the reduced models. ``thorough`` allows
@@ -96,7 +96,7 @@ def solve_full_models(
 
     Raises
     ------
-    SimulationError : no equilibrium, or a step that does not settle.
+    SimulationError : there is no equilibrium, or a step does not converge.
     """
     networks = select_networks_to_solve(scene_laws(full), ours, replayed)
     if build.scene.analysis.type != "transient":

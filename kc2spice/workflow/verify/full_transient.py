@@ -2,8 +2,8 @@
 
 One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. Their
 difference is added to the exact solution with the reduced models: both models have the same error
-of the time steps, which cancels except for a share of their difference. Steps twice as long measure
-that share.
+of the time steps, which cancels except for a share of their difference. A solution with steps
+twice as long measures this share.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """Results of a network with full models minus those with reduced ones, by the same steps.
+    """Results of a network with full models minus the results with reduced models, for equal
+    steps.
 
     ``apart`` (nt,) is true if the devices of both models are in different modes. ``events`` [s] are
     those of the solution with the reduced models.
@@ -100,7 +101,7 @@ class Difference:
 
 
 def port_bodies_of(network: Network) -> list[PortBody]:
-    """Bodies of a network that laws describe at their ports, as full models are."""
+    """Bodies of a network that, like full models, are described by laws at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 

@@ -56,7 +56,7 @@ def solve_laws(
     Raises
     ------
     UsageError : the laws are incompatible.
-    SimulationError : no equilibrium, or a law left its range.
+    SimulationError : there is no equilibrium, or a law is outside of its range.
     """
     networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":

@@ -56,19 +56,23 @@ from kc2spice.workflow.verify.law_solution import solve_laws
 # unknowns of a mesh with half the element size, which takes seconds and little memory
 MAX_FINER_UNKNOWNS = 30_000
 # time limit of a finer discretisation: multiple of the run's time, plus seconds
-TIME_FACTOR, EXTRA_SECONDS = 5.0, 30.0
+TIME_FACTOR = 5.0
+EXTRA_SECONDS = 30.0
 
 
 SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 # default error limits of a transient, as multiples of solver.reltol
-METRIC_LIMIT_FACTOR, WAVE_LIMIT_FACTOR = 10.0, 200.0
+METRIC_LIMIT_FACTOR = 10.0
+WAVE_LIMIT_FACTOR = 200.0
 MAX_WAVE_ERROR = 0.05  # largest error for any reltol, relative to the rms value of a wave
 # default error limits of analyses without time steps
-STEADY_METRIC_LIMIT, STEADY_WAVE_LIMIT = 5e-9, 3e-8
+STEADY_METRIC_LIMIT = 5e-9
+STEADY_WAVE_LIMIT = 3e-8
 NOISE_LIMIT = 1e-6  # default error limit of noise: Boltzmann's constant has seven digits in ngspice
 # A source that replays samples of ngspice has an error of about 1e-3 in its slope, which is the
 # current into a capacitance (2.5e-3 at the edges of a half-bridge). Its work is off by 5e-6.
-REPLAY_LIMIT_FACTOR, REPLAY_BALANCE_LIMIT = 5.0, 1e-5
+REPLAY_LIMIT_FACTOR = 5.0
+REPLAY_BALANCE_LIMIT = 1e-5
 
 
 def verify_scenes(
@@ -84,7 +88,7 @@ def verify_scenes(
 
     Parameters
     ----------
-    full : solve full models to the end of the run and at every frequency, however long it takes.
+    full : solve full models to the end of the run and at every frequency, without a time limit.
     deck : an exported deck of the single scene, verified instead of a new one.
     trust : let the deck and included netlists act on the machine.
 
@@ -93,7 +97,7 @@ def verify_scenes(
 
     Raises
     ------
-    UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or as
+    UsageError : a ``deck`` for several scenes, a deck without the subcircuits of the scene, or as
         :func:`kc2spice.workflow.decks.prepare_deck`.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a solution path ended without a result.
@@ -144,7 +148,7 @@ def _included_subcircuits(flat: Flat) -> tuple[Subcircuit, ...]:
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
     """Return ``scene`` with the ports of its bodies in the ``libraries``.
 
-    An export keeps the ports that a body declares, even those that nothing is joined to.
+    An export keeps all ports that a body declares, including unconnected ports.
     """
     exported = resolve(replace(scene, ports="declared"))
     known = set(map(_pin_names, map(attrgetter("pins"), libraries)))
