@@ -360,6 +360,14 @@ class Device(ABC):
         """Compute the power [W] that becomes heat; power from outside is negative."""
         return 0.0
 
+    @property
+    def energy_forms(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Matrices (m, m) of the quadratic forms ``energy`` and ``loss`` of a linear device.
+
+        With these matrices, a large device needs no methods ``energy`` and ``loss``.
+        """
+        return None
+
 
 Law = SecondOrderBody | IdealSource | Device
 

@@ -579,7 +579,10 @@ def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: n
     for k, flow in enumerate(law.flows):
         rate = rated.get(k, 0.0 * inputs[0])
         into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])
-    if type(law).energy is not L.Device.energy:
+    if law.energy_forms is not None:
+        for kind, form in zip(("stored", "dissipated"), law.energy_forms, strict=True):
+            into.add_energy(kind, inputs, form)
+    elif type(law).energy is not L.Device.energy:
         stored, lifted = _fit_quadratic(lambda e: law.energy(e, mode), len(inputs))
         into.add_energy("stored", inputs, stored)
         into.lifted += lifted @ inputs

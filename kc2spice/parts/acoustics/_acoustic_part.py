@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -83,8 +83,9 @@ class AcousticNetwork:
     """Acoustic elements of a part.
 
     ``params`` are the parameters of its subcircuit, and ``constants`` expressions of the parameters
-    and of earlier constants. ``entry`` is the node behind the meter of the first pin. ``validity``
-    describes the range of the network and its error, for the header.
+    and of earlier constants. ``entry`` is the node behind the meter of the first pin, and ``exits``
+    the nodes behind the meters of further pins. ``validity`` describes the range of the network and
+    its error, for the header.
     """
 
     params: tuple[Param, ...]
@@ -92,6 +93,7 @@ class AcousticNetwork:
     elements: tuple[AcousticElement, ...]
     validity: str
     entry: str = "in"
+    exits: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -189,24 +191,34 @@ class AcousticPart(PartType[FluidKeysT]):
     def law(self, part: Part[FluidKeysT], build: Build) -> laws.Equations:
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
-        entering: list[tuple[float, str]] = []
         for item in network.elements:
-            name = f"{n}_{item.name}"
+            name = f"{n}_{item.card_name}"
             devices.append(element(name, item.kind, network.value(item)))
-            for end, node in (("a", item.plus), ("b", item.minus)):
-                at_node[node].append(f"{name}.{end}")
-                if node == network.entry:
-                    entering.append((1.0 if end == "a" else -1.0, f"{name}.a.through"))
-        first = self.ends(part)[0]
-        nodes = {first: network.entry} | {pin: pin for pin in (*self.ends(part)[1:], AMBIENT)}
-        pins = tuple((pin, at_node[node][0]) for pin, node in nodes.items())
+            at_node[item.plus].append(f"{name}.a")
+            at_node[item.minus].append(f"{name}.b")
+        first, *others = self.ends(part)
+        nodes = {pin: network.exits.get(pin, pin) for pin in (*others, AMBIENT)}
+        pins = [(pin, at_node[node][0]) for pin, node in ({first: network.entry} | nodes).items()]
         inside = tuple(tuple(ends) for ends in at_node.values() if len(ends) > 1)
         pressure = laws.wave_difference(at_node[network.entry][0], at_node[AMBIENT][0])
         results = {
             f"{n}.{ACOUSTIC.across.symbol}": pressure,
-            f"{n}.{ACOUSTIC.through_variable.symbol}": laws.Reading(tuple(entering)),
+            f"{n}.{ACOUSTIC.through_variable.symbol}": laws.Reading(
+                self.flows_into(part, network, network.entry)
+            ),
         }
-        return laws.Equations(tuple(devices), pins, results, nets=inside)
+        return laws.Equations(tuple(devices), tuple(pins), results, nets=inside)
+
+    def flows_into(
+        self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
+    ) -> tuple[tuple[float, str], ...]:
+        """Return the volume velocities from a node into the elements: signs and waves."""
+        result = []
+        for item in network.elements:
+            wave = f"{part.name}_{item.card_name}.a.through"
+            if node in (item.plus, item.minus):
+                result.append((1.0 if node == item.plus else -1.0, wave))
+        return tuple(result)
 
 
 def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:

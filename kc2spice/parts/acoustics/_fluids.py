@@ -68,6 +68,13 @@ class FluidTable(Section):
         return self
 
     @property
+    def diffusivity(self) -> float:
+        """Thermal diffusivity ``k / (rho cp)`` [m2/s]; 0 without a conductivity."""
+        if self.specific_heat is None:
+            return 0.0
+        return self.conductivity / (self.density * self.specific_heat)
+
+    @property
     def level_reference(self) -> float:
         """Rms pressure [Pa] at 0 dB."""
         if self.reference_pressure is not None:

@@ -1,0 +1,25 @@
+"""Frequency band in which acoustic networks hold, from the analysis of a scene."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.model import GovernedScene
+
+AUDIO_END = 20e3  # Hz, end of the band of a scene whose sources have no highest frequency
+DECADES = 1e4  # largest ratio of the ends of a band
+
+
+class Band(NamedTuple):
+    """Lowest and highest frequency [Hz]."""
+
+    low: float
+    high: float
+
+
+def acoustic_band(scene: GovernedScene) -> Band:
+    """Return the band of a scene: that of its ac analysis, or four decades up to its sources."""
+    high = highest_frequency(scene) or AUDIO_END
+    start = scene.analysis.start if scene.analysis.small else 0.0
+    return Band(max(start, high / DECADES), high)

@@ -1,0 +1,139 @@
+"""Viscous and thermal boundary layers of ducts and cavities as sums of relaxations.
+
+A relaxation ``w / (p + q)`` of the normalised frequency ``q = j omega a^2 / nu`` is a branch of two
+positive elements. The functions of a circular duct with the radius a and of a cavity with the
+ratio a of volume to surface are sums of relaxations with positive weights:
+
+    flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)
+    heat(q)   = 1 - F(q)                                                   (thermal, duct)
+    layer(q)  = tanh(z) / z                                                (thermal, cavity)
+
+nu is the kinematic viscosity, or the thermal diffusivity in the thermal functions (C. Zwikker and
+C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall, Theory of Vibrating
+Systems and Sound, 1926, appendix A). Weights at spaced corners p are fitted over a band by
+non-negative least squares, so that every network is positive real.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+Layer = Literal["flow", "heat", "layer"]
+# lowest corner and value at q = 0 of each function; J0(2.4048) = 0
+LOWEST_CORNERS = {
+    "flow": 2.404825557695773**2,
+    "heat": 2.404825557695773**2,
+    "layer": math.pi**2 / 4,
+}
+# values at q = 0 and negative slopes there, sums of 4 / j^4 and 4 / j^6 over zeros j of J0
+STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
+STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
+SAMPLES_PER_DECADE = 12
+BELOW, ABOVE = 6.0, 6.0  # range of corners beyond both ends of the band, as ratios
+STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
+
+
+@dataclass(frozen=True)
+class Relaxations:
+    """Sum of relaxations ``w / (p + q)``, with its errors over the band.
+
+    ``loss_error`` is the largest relative error of the part that dissipates, ``value_error`` that
+    of the magnitude.
+    """
+
+    terms: tuple[tuple[float, float], ...]
+    value_error: float
+    loss_error: float
+
+
+def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
+    """Evaluate the exact function of a boundary layer at normalised frequencies ``q`` (n,)."""
+    from scipy.special import ive  # loads slowly
+
+    z = np.sqrt(q)
+    if layer == "layer":
+        return np.asarray(np.tanh(z) / z)
+    heat = 2 * ive(1, z) / (z * ive(0, z))
+    return np.asarray(heat if layer == "heat" else (1 - heat) / q)
+
+
+@lru_cache(maxsize=64)
+def fit_boundary_layer(layer: Layer, low: float, high: float, per_decade: int) -> Relaxations:
+    """Fit relaxations to the function of a boundary layer.
+
+    Parameters
+    ----------
+    layer : {"flow", "heat", "layer"}
+        Function of the boundary layer.
+    low, high : float
+        Band of the normalised frequency, omega a^2 / nu.
+    per_decade : int
+        Number of corners in each decade.
+
+    Returns
+    -------
+    Relaxations
+        Corners and positive weights, and errors over the band.
+
+    Examples
+    --------
+    >>> result = fit_boundary_layer("flow", 1.0, 1e3, 3)
+    >>> result.loss_error < 0.01, all(weight > 0 for _, weight in result.terms)
+    (True, True)
+    """
+    from scipy.optimize import nnls  # loads slowly
+
+    samples = max(8, math.ceil(SAMPLES_PER_DECADE * math.log10(high / low)))
+    q = 1j * np.geomspace(low, high, samples)
+    exact, corners = evaluate_layer(layer, q), _space_corners(layer, low, high, per_decade)
+    terms = 1 / (corners + q[:, None])
+    loss, size = _dissipation(layer, q, exact), np.abs(exact)
+    rows = np.vstack([
+        _dissipation(layer, q[:, None], terms) / loss[:, None],
+        _reaction(layer, terms) / size[:, None],
+        STATIC_WEIGHT / (corners * STATIC_VALUES[layer])[None],
+        STATIC_WEIGHT / (corners**2 * STATIC_SLOPES[layer])[None],
+    ])  # fmt: skip
+    target = np.concatenate([np.ones(q.size), _reaction(layer, exact) / size, [STATIC_WEIGHT] * 2])
+    weights, _ = nnls(rows, target)
+    fitted = terms @ weights
+    positive = weights > 0
+    return Relaxations(
+        tuple(zip(corners[positive].tolist(), weights[positive].tolist(), strict=True)),
+        float(np.abs(fitted / exact - 1).max()),
+        float(np.abs(_power(layer, q, fitted) / _power(layer, q, exact) - 1).max()),
+    )
+
+
+def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np.ndarray:
+    """Return corners from the lowest one on, dense over the band and sparse below it."""
+    first, top = LOWEST_CORNERS[layer], ABOVE * high
+    dense = max(first, low / BELOW)
+    top = max(top, 10 * dense)
+    count = math.ceil(per_decade * math.log10(top / dense)) + 1
+    sparse = np.geomspace(first, dense, math.ceil(math.log10(dense / first)) + 1)
+    return np.union1d(sparse, np.geomspace(dense, top, count))
+
+
+def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Return the part that is linear in the weights and dissipates energy.
+
+    It is the real part of the admittance ``flow`` of a duct, and of the admittances ``q heat`` and
+    ``q layer``.
+    """
+    return np.asarray(value.real if layer == "flow" else (q * value).real)
+
+
+def _reaction(layer: Layer, value: np.ndarray) -> np.ndarray:
+    """Return the other part of the function."""
+    return np.asarray(value.imag if layer == "flow" else value.real)
+
+
+def _power(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Return the dissipation for a given flow of a duct, or for a given pressure."""
+    return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

@@ -1,0 +1,171 @@
+"""Law of a duct for the independent integrator: a chain of compliances, flows and relaxations.
+
+Every node of the chain has a compliance C to the ambient pressure, unless it is a pin. Flows with
+mass m and resistance r are between nodes, and thermal relaxations with the resistance R and the
+compliance c at nodes::
+
+    m dq/dt = p_start - p_end - r q
+    C dp/dt = flows into the node - sum (p - v) / R
+    c dv/dt = (p - v) / R
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.domains import ACOUSTIC, AMBIENT
+from kc2spice.core.laws import Device, Flow, LawPin, Tap
+
+
+@dataclass(frozen=True, eq=False)
+class DuctLaw(Device):
+    """Linear law of a duct.
+
+    ``nodes`` maps each node to its compliance [m3/Pa]; the nodes ``ends`` are pins. ``channels``
+    are the flows: start, end, resistance [Pa s/m3] and mass [kg/m4]. ``walls`` are the thermal
+    relaxations: node, resistance and compliance.
+    """
+
+    name: str
+    nodes: dict[str, float]
+    ends: tuple[str, ...]
+    channels: tuple[tuple[str, str, float, float], ...]
+    walls: tuple[tuple[str, float, float], ...]
+
+    linear = True
+
+    @property
+    def pins(self) -> tuple[LawPin, ...]:
+        """Pins of the ends, and the ambient pressure."""
+        kind = ACOUSTIC.kind_of_law
+        ends = (LawPin(end, kind) for end in self.ends)
+        return (*ends, LawPin(AMBIENT, kind, grounded=True))
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        """Pressures at the ends."""
+        return tuple(Tap(end, AMBIENT) for end in self.ends)
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        """Volume velocities into the ends."""
+        return tuple(Flow(end, AMBIENT) for end in self.ends)
+
+    @cached_property
+    def inner(self) -> tuple[str, ...]:
+        """Nodes that are no pins."""
+        return tuple(node for node in self.nodes if node not in self.ends)
+
+    @cached_property
+    def charged(self) -> tuple[int, ...]:
+        """Indices of the ends with a compliance."""
+        return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Volume velocities, pressures of inner nodes, and pressures of relaxations."""
+        flows = map("q{}".format, range(len(self.channels)))
+        walls = map("v{}".format, range(len(self.walls)))
+        return (*flows, *map("p_{}".format, self.inner), *walls)
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Error scales of the states: 1e-9 m3/s and 1 mPa."""
+        pressures = len(self.inner) + len(self.walls)
+        return (1e-9,) * len(self.channels) + (1e-3,) * pressures
+
+    @cached_property
+    def _stored(self) -> np.ndarray:
+        """Masses and compliances of the states."""
+        masses = [mass for *_, mass in self.channels]
+        inner = [self.nodes[node] for node in self.inner]
+        return np.array([*masses, *inner, *(size for *_, size in self.walls)])
+
+    @cached_property
+    def _columns(self) -> dict[str, int]:
+        """Column of the pressure of each node among the inputs."""
+        first = len(self.ends) + len(self.channels)
+        result = {end: k for k, end in enumerate(self.ends)}
+        return result | {node: first + k for k, node in enumerate(self.inner)}
+
+    @cached_property
+    def _drops(self) -> np.ndarray:
+        """Pressure drops of channels and walls (drops, inputs), which their resistances share."""
+        channels, walls = len(self.channels), len(self.walls)
+        width = len(self.ends) + self._stored.size
+        result = np.zeros((channels + walls, width))
+        for k, (start, end, _, _) in enumerate(self.channels):
+            result[k, self._columns[start]] += 1.0
+            result[k, self._columns[end]] -= 1.0
+        for k, (node, _, _) in enumerate(self.walls):
+            result[channels + k, self._columns[node]] += 1.0
+            result[channels + k, width - walls + k] -= 1.0
+        return result
+
+    @cached_property
+    def _through(self) -> np.ndarray:
+        """Volume velocities of channels and walls (drops, inputs)."""
+        channels, ends = len(self.channels), len(self.ends)
+        result = np.zeros(self._drops.shape)
+        result[:channels, ends : ends + channels] = np.eye(channels)
+        resistances = np.array([resistance for _, resistance, _ in self.walls])
+        result[channels:] = self._drops[channels:] / resistances[:, None]
+        return result
+
+    @cached_property
+    def _slope(self) -> np.ndarray:
+        """Derivative of the outputs (ends + states, inputs)."""
+        ends, channels = len(self.ends), len(self.channels)
+        # a drop d = G p of pressures p takes the volume velocities -G' q out of the nodes
+        result = -self._drops.T @ self._through
+        result[:ends] *= -1.0  # into the part
+        rows = slice(ends, ends + channels)
+        result[rows] = self._drops[:channels]
+        friction = np.array([resistance for *_, resistance, _ in self.channels])
+        result[rows, rows] -= np.diag(friction)
+        return result
+
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return flows and rates, with their derivatives."""
+        return self._slope @ e, self._slope
+
+    @cached_property
+    def _store_slope(self) -> np.ndarray:
+        """Derivative of the stored quantities (states + charged, inputs)."""
+        ends, count = len(self.ends), self._stored.size
+        result = np.zeros((count + len(self.charged), ends + count))
+        result[:count, ends:] = np.diag(self._stored)
+        for row, k in enumerate(self.charged, count):
+            result[row, k] = self.nodes[self.ends[k]]
+        return result
+
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return pressure impulses and volumes, with their derivatives."""
+        return self._store_slope @ e, self._store_slope
+
+    @cached_property
+    def energy_forms(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices of the stored energy and of the lost power, as quadratic forms of the inputs."""
+        ends = np.array([self.nodes[end] for end in self.ends])
+        stored = np.diag(np.concatenate([ends, self._stored]) / 2)
+        q = self._through
+        resistances = [r for *_, r, _ in self.channels] + [r for _, r, _ in self.walls]
+        lost = q.T @ (np.array(resistances)[:, None] * q)
+        return stored, lost
+
+    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return pressures in series with channels, and flows parallel to walls."""
+        ends, channels = len(self.ends), len(self.channels)
+        sources = channels + len(self.walls)
+        out = np.zeros((ends + self._stored.size, sources))
+        friction = np.array([resistance for *_, resistance, _ in self.channels])
+        out[ends : ends + channels, :channels] = np.diag(np.sqrt(friction))
+        roots = np.sqrt([resistance for _, resistance, _ in self.walls])
+        flows = -self._drops[channels:].T / roots
+        flows[:ends] *= -1.0
+        out[:, channels:] = flows
+        return out, np.zeros((self._stored.size + len(self.charged), sources))

@@ -1,0 +1,183 @@
+"""Closed volume of fluid: its compliance, and the heat that its walls conduct."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.domains import AMBIENT
+from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
+from kc2spice.core.quantities import Length, si
+from kc2spice.parts.acoustics._acoustic_band import acoustic_band
+from kc2spice.parts.acoustics._acoustic_part import (
+    COMPLIANCE,
+    RESISTANCE,
+    AcousticElement,
+    AcousticNetwork,
+    AcousticPart,
+)
+from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
+from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.scene.model import GovernedScene, Part, Scene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+
+CORNERS_PER_DECADE = 2  # of the relaxations of walls; the losses are then within 1 %
+LARGEST_LENGTH = 0.1  # of a wavelength, in which the pressure is nearly uniform
+# surface of a cube relative to its volume to the power 2/3, and of a sphere, the smallest one
+CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
+
+
+class CavityKeys(FluidKeys):
+    """Volume of a cavity, its walls and its leak."""
+
+    volume: Annotated[float, si("m3")] = Field(gt=0, description="Volume of the cavity")
+    surface: Annotated[float, si("m2")] | None = Field(
+        None, gt=0, description="Surface of the walls; by default that of a cube of this volume"
+    )
+    length: Length | None = Field(
+        None, gt=0, description="Longest inner dimension; by default the edge of a cube"
+    )
+    wall_losses: bool = Field(
+        True, description="Whether the walls conduct heat, which is a loss at low frequencies"
+    )
+    leak: Annotated[float, si("Pa s/m3")] | None = Field(
+        None, gt=0, description="Acoustic resistance of leaks to the pin ambient; by default none"
+    )
+
+    @property
+    def compliance(self) -> float:
+        """Adiabatic compliance ``V / (rho c^2)`` [m3/Pa]."""
+        return self.volume / (self.fluid.density * self.fluid.sound_speed**2)
+
+    @property
+    def depth(self) -> float:
+        """Ratio [m] of volume to surface, the length of the thermal relaxations."""
+        return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
+
+    @property
+    def longest(self) -> float:
+        """Longest inner dimension [m]."""
+        return self.length or self.volume ** (1 / 3)
+
+
+class Cavity(AcousticPart[CavityKeys]):
+    """Compliance and heat conduction of the walls of a cavity.
+
+    ``Y = j omega V / (rho c^2) (1 + (gamma - 1) tanh(z) / z)``, ``z^2 = j omega h^2 / alpha``, with
+    the ratio h of volume to surface and the thermal diffusivity alpha.
+    """
+
+    name, title = "cavity", "closed volume of fluid with the heat conduction of its walls"
+    schema = CavityKeys
+    example = """
+[cavity]
+part = "cavity"
+volume = "1 cm3"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "volume_velocity"
+ac = "1e-9 m3/s"
+
+[analysis]
+type = "ac"
+start = "100 Hz"
+stop = "2 kHz"
+"""
+
+    def paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
+        return (("a", AMBIENT),)
+
+    def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        keys = part.keys
+        least = SPHERE_SURFACE * keys.volume ** (2 / 3)
+        if keys.surface is not None and keys.surface < least * (1 - 1e-6):
+            message = "the surface is smaller than that of a sphere of this volume"
+            got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
+            yield part.wrong("surface", message, got, expected)
+        limit = LARGEST_LENGTH * keys.fluid.sound_speed / keys.longest
+        if scene.analysis.small and acoustic_band(scene).high > limit:
+            warnings.warn(
+                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
+                f"{format_quantity(float(f'{keys.longest:.4g}'), 'm')} is longer than a tenth of a "
+                "wavelength, and its pressure is not uniform: use a tube",
+                stacklevel=2,
+            )
+
+    def _relaxations(self, part: Part[CavityKeys], scene: GovernedScene) -> Relaxations | None:
+        """Return the relaxations of the walls, None without losses."""
+        keys, fluid = part.keys, part.keys.fluid
+        if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
+            return None
+        scale = 2 * math.pi * keys.depth**2 / fluid.diffusivity
+        low, high = (float(f"{scale * f:.4g}") for f in acoustic_band(scene))
+        return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
+
+    def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
+        keys, walls = part.keys, self._relaxations(part, scene)
+        volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
+        elements = [volume]
+        if keys.leak is not None:
+            elements.append(AcousticElement(RESISTANCE, "leak", "in", AMBIENT, repr(keys.leak)))
+        if walls is not None:
+            elements += list_relaxations(
+                walls,
+                ("in", AMBIENT),
+                (keys.fluid.heat_ratio - 1) * keys.compliance,
+                keys.depth**2 / keys.fluid.diffusivity,
+            )
+        validity = (
+            f"cavity of {format_quantity(keys.volume, 'm3')}, {self._describe_walls(walls)}; "
+            "uniform pressure, small amplitudes, fluid at rest"
+        )
+        return AcousticNetwork((), {}, tuple(elements), validity)
+
+    def _describe_walls(self, walls: Relaxations | None) -> str:
+        if walls is None:
+            return "without losses at the walls"
+        return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
+
+    def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | Neglected]:
+        keys, walls = part.keys, self._relaxations(part, scene)
+        limit = LARGEST_LENGTH * keys.fluid.sound_speed / keys.longest
+        yield (
+            f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, {keys.fluid.words}; "
+            f"{self._describe_walls(walls)}"
+        )
+        share = (2 * math.pi * LARGEST_LENGTH) ** 2 / 2
+        yield Neglected(
+            "waves in the cavity",
+            "uniform pressure",
+            f"{100 * share:.2g} % at {format_quantity(float(f'{limit:.3g}'), 'Hz')}",
+        )
+        yield Neglected("motion of the walls", "the walls are rigid", "not estimated")
+
+
+def list_relaxations(
+    relaxations: Relaxations,
+    ends: tuple[str, str],
+    compliance: float,
+    time: float,
+    suffix: str = "",
+) -> Iterator[AcousticElement]:
+    """Yield a resistance and a compliance in series for each thermal relaxation.
+
+    ``C (w / p) / (1 + s t / p)`` with the ``compliance`` C [m3/Pa] and the ``time`` t [s].
+    """
+    start, end = ends
+    for k, (corner, weight) in enumerate(relaxations.terms, 1):
+        size = compliance * weight / corner
+        node = f"wall{suffix}_{k}"
+        yield AcousticElement(RESISTANCE, f"w{suffix}_{k}", start, node, repr(time / corner / size))
+        yield AcousticElement(COMPLIANCE, f"w{suffix}_{k}", node, end, repr(size))
+
+
+register(Cavity())

@@ -1,0 +1,416 @@
+"""Circular ducts of fluid: short vents with end corrections, and tubes of many sections.
+
+A duct consists of sections with a series impedance and shunt compliances at both ends, per length:
+
+    1 / Z' = A / (j omega rho) F(omega rho a^2 / mu)
+    Y'     = j omega A / (rho c^2) (gamma - (gamma - 1) F(omega a^2 / alpha))
+
+F is the function of viscous and thermal boundary layers (:mod:`._boundary_layers`); without losses,
+F = 1. Open ends move further fluid: 0.8216 a with and 0.6127 a without a flange (S. W. Rienstra and
+A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from kc2spice.core import laws
+from kc2spice.core.domains import ACOUSTIC, AMBIENT
+from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
+from kc2spice.core.quantities import Count, Length, invalid_value_error, si
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.parts.acoustics._acoustic_band import acoustic_band
+from kc2spice.parts.acoustics._acoustic_part import (
+    COMPLIANCE,
+    MASS,
+    RESISTANCE,
+    AcousticElement,
+    AcousticNetwork,
+    AcousticPart,
+)
+from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
+from kc2spice.parts.acoustics._duct_law import DuctLaw
+from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics.cavity import CORNERS_PER_DECADE, list_relaxations
+from kc2spice.scene.model import GROUND, Build, GovernedScene, JoinedScene, Part, Scene, Terminal
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Vector
+
+End = Literal["none", "unflanged", "flanged"]
+END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
+WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct propagates
+SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
+MOST_SECTIONS = 400
+CORNERS_OF_SECTIONS = 1  # corners in each decade in many sections; the losses are within 5 %
+FAR_END = "b"
+FAR_METER = "Vflow_b"
+
+
+class DuctKeys(FluidKeys):
+    """Length and radius of a circular duct, its losses and its ends."""
+
+    length: Length = Field(gt=0, description="Length of the duct, without end corrections")
+    radius: Length | None = Field(None, gt=0, description="Inner radius of the duct")
+    area: Annotated[float, si("m2")] | None = Field(
+        None, gt=0, description="Cross section of the duct, instead of its radius"
+    )
+    losses: bool = Field(
+        True, description="Whether the wall has viscous and thermal boundary layers"
+    )
+
+    @model_validator(mode="after")
+    def _require_one_size(self) -> DuctKeys:
+        if (self.radius is None) == (self.area is None):
+            number = "no size" if self.radius is None else "two sizes"
+            raise invalid_value_error(f"the duct has {number}", "radius or area")
+        return self
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius [m]."""
+        return self.radius or math.sqrt((self.area or 0.0) / math.pi)
+
+
+class VentKeys(DuctKeys):
+    """Short duct, such as a hole in a housing or a port of a loudspeaker box."""
+
+    end_a: End = Field(
+        "flanged", description="Fluid outside of the end a: that of an end with or without a flange"
+    )
+    end_b: End = Field(
+        "flanged",
+        description="Fluid outside of the end b; none if a part of type radiation is joined there",
+    )
+
+
+class TubeKeys(DuctKeys):
+    """Long duct, such as a tube of a measurement or a horn of constant cross section."""
+
+    end_a: End = Field(
+        "none", description="Fluid outside of the end a: that of an end with or without a flange"
+    )
+    end_b: End = Field(
+        "none", description="Fluid outside of the end b: that of an end with or without a flange"
+    )
+    closed: bool = Field(
+        False, description="Whether a rigid wall closes the end b, which then has no pin"
+    )
+    sections: Count | None = Field(
+        None,
+        ge=1,
+        le=MOST_SECTIONS,
+        description="Number of sections; by default 30 for each wavelength at the end of the band",
+    )
+
+
+@dataclass(frozen=True)
+class Duct:
+    """Sections of a duct with their losses.
+
+    ``viscous`` and ``thermal`` are the relaxations of the boundary layers, None without losses.
+    ``phase_error`` is the relative error of the phase velocity at the end of the band.
+    """
+
+    sections: int
+    viscous: Relaxations | None
+    thermal: Relaxations | None
+    phase_error: float
+
+    @property
+    def loss_error(self) -> float:
+        """Largest relative error of the losses."""
+        layers = (self.viscous, self.thermal)
+        return max((layer.loss_error for layer in layers if layer is not None), default=0.0)
+
+
+class DuctPart(AcousticPart[DuctKeys]):
+    """Base of the parts that are circular ducts."""
+
+    def closed(self, part: Part[DuctKeys]) -> bool:
+        """Return whether a rigid wall closes the far end."""
+        return bool(getattr(part.keys, "closed", False))
+
+    def ends(self, part: Part[DuctKeys]) -> tuple[str, ...]:
+        return ("a",) if self.closed(part) else ("a", FAR_END)
+
+    def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
+        return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
+
+    def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        result = []
+        for pin in super().pins(part, scene):
+            if pin.name == FAR_END and not scene.is_target(part.name, FAR_END):
+                pin = replace(pin, default=GROUND, required=False)
+            result.append(pin)
+        return tuple(result)
+
+    def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        keys, fluid = part.keys, part.keys.fluid
+        high = acoustic_band(scene).high
+        limit = WIDEST_DUCT * fluid.sound_speed / (2 * math.pi * keys.inner_radius)
+        if scene.analysis.small and high > limit:
+            warnings.warn(
+                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} further modes "
+                "propagate in a duct of this radius, which have no model: lower analysis.stop",
+                stacklevel=2,
+            )
+        self._warn_of_double_ends(part, scene)
+
+    def _warn_of_double_ends(self, part: Part[DuctKeys], scene: GovernedScene) -> None:
+        """Warn of ends whose outer fluid also belongs to a part of type radiation."""
+        for end in self.ends(part):
+            correction = getattr(part.keys, f"end_{end}")
+            joined = part.pins.get(end, "").partition(".")[0]
+            for other in scene.of("radiation"):
+                meets = other.name == joined or other.pins.get("face") == f"{part.name}.{end}"
+                if meets and correction != "none":
+                    warnings.warn(
+                        f'{part.name}: end_{end} = "{correction}" and {other.name} both contain '
+                        f'the fluid outside of this end: set end_{end} = "none"',
+                        stacklevel=2,
+                    )
+
+    def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+        """Return the number of sections."""
+        return 1
+
+    def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> Duct:
+        """Return sections and losses of a duct in the band of the scene."""
+        keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
+        count = self.sections(part, scene)
+        corners = CORNERS_PER_DECADE if count == 1 else CORNERS_OF_SECTIONS
+        scale = 2 * math.pi * keys.inner_radius**2
+        viscous = thermal = None
+        if keys.losses and fluid.viscosity:
+            ends = (float(f"{scale * f * fluid.density / fluid.viscosity:.4g}") for f in band)
+            viscous = fit_boundary_layer("flow", *ends, corners)
+        if keys.losses and fluid.diffusivity and fluid.heat_ratio > 1:
+            ends = (float(f"{scale * f / fluid.diffusivity:.4g}") for f in band)
+            thermal = fit_boundary_layer("heat", *ends, corners)
+        phase = 2 * math.pi * band.high * keys.length / (count * fluid.sound_speed)
+        return Duct(count, viscous, thermal, phase**2 / 24)
+
+    def network(self, part: Part[DuctKeys], scene: GovernedScene) -> AcousticNetwork:
+        duct = self.duct(part, scene)
+        elements = tuple(self._list_elements(part, duct))
+        words = (
+            f"duct of {format_quantity(part.keys.length, 'm')} and radius "
+            f"{format_quantity(part.keys.inner_radius, 'm')}, {self._describe(duct)}; small "
+            "amplitudes, fluid at rest"
+        )
+        return AcousticNetwork((), {}, elements, words, exits=self._exits(part))
+
+    def _exits(self, part: Part[DuctKeys]) -> dict[str, str]:
+        """Return the node behind the meter of the far end."""
+        return {} if self.closed(part) else {FAR_END: "out"}
+
+    def _describe(self, duct: Duct) -> str:
+        """Describe sections and losses with their errors in the band."""
+        losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
+        count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
+        return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
+
+    def _list_elements(self, part: Part[DuctKeys], duct: Duct) -> Iterator[AcousticElement]:
+        """Yield end corrections, series elements and shunt elements in the order of the duct."""
+        keys, fluid, count = part.keys, part.keys.fluid, duct.sections
+        area = math.pi * keys.inner_radius**2
+        inertia, step = fluid.density / area, keys.length / count
+        start, last = "in", "end" if self.closed(part) else "out"
+        for end, outer, inner in (("a", "in", "mouth_a"), (FAR_END, "mouth_b", "out")):
+            share = END_CORRECTIONS[getattr(keys, f"end_{end}")]
+            if share and end in self.ends(part):
+                mass = repr(inertia * share * keys.inner_radius)
+                yield AcousticElement(MASS, f"end_{end}", outer, inner, mass)
+                start = inner if end == "a" else start
+                last = outer if end == FAR_END else last
+        nodes = [start, *map("n{}".format, range(1, count)), last]
+        for k in range(count):
+            yield from _list_series(duct, (nodes[k], nodes[k + 1]), k + 1, part, step)
+        for k, node in enumerate(nodes):
+            width = step / 2 if k in (0, count) else step
+            yield from _list_shunt(duct, node, k + 1, part, width)
+
+    # --- the far end ------------------------------------------------------------------------------
+
+    def further_cards(self, part: Part[DuctKeys]) -> Iterator[Item | str]:
+        if not self.closed(part):
+            yield "* volume velocity out of the far end"
+            yield Element.of(FAR_METER, "out", FAR_END, "0")
+
+    def vectors(self, part: Part[DuctKeys], build: Build) -> Mapping[str, Vector]:
+        n, flow = part.name, ACOUSTIC.through_variable
+        near = f"{n}.{flow.symbol}"
+        result = dict(super().vectors(part, build))
+        result[near] = replace(result[near], leaves=())
+        if not self.closed(part):
+            through = f"i(v.x{n}.{FAR_METER})".lower()
+            result[f"{near}_b"] = Vector(through, flow.factor, flow.unit, (FAR_END,))
+        return result
+
+    def law(self, part: Part[DuctKeys], build: Build) -> laws.Equations:
+        """Return one law of the whole duct, because it may have hundreds of elements."""
+        n, network = part.name, self.network(part, build.scene)
+        pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
+        law = make_duct_law(n, network, pins)
+        names = {"a": ACOUSTIC.through_variable.symbol}
+        names[FAR_END] = f"{names['a']}_{FAR_END}"
+        results = {
+            f"{n}.{ACOUSTIC.across.symbol}": laws.wave_difference(f"{n}.a", f"{n}.{AMBIENT}")
+        }
+        for end, sign in zip(self.ends(part), (1.0, -1.0), strict=False):
+            results[f"{n}.{names[end]}"] = laws.scaled_wave(f"{n}.{end}.through", sign)
+        joins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
+        return laws.Equations((law,), joins, results)
+
+    def notes(self, part: Part[DuctKeys], scene: Scene) -> Iterator[str | Neglected]:
+        keys, fluid = part.keys, part.keys.fluid
+        area = math.pi * keys.inner_radius**2
+        mass = fluid.density * keys.length / area
+        words = self._describe(self.duct(part, scene))
+        yield f"acoustic mass {mass:.4g} kg/m4, {fluid.words}: {words}"
+        yield Neglected("vortices at the ends", "small amplitudes", "losses at high flow")
+        yield Neglected("radiation of open ends", "end corrections are masses", "join a radiation")
+        yield Neglected("motion of the walls", "the walls are rigid", "not estimated")
+
+
+def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
+    """Make the law of a duct from its elements; ``pins`` maps nodes to their pins."""
+    nodes = {pins.get(item.plus, item.plus): 0.0 for item in network.elements}
+    middles: dict[str, AcousticElement] = {}
+    channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()
+    for item in network.elements:
+        start, end = (pins.get(node, node) for node in (item.plus, item.minus))
+        value, first = network.value(item), middles.get(item.plus)
+        origin = "" if first is None else pins.get(first.plus, first.plus)
+        if item.kind == RESISTANCE:
+            middles[item.minus] = item
+        elif item.kind == MASS:
+            friction = 0.0 if first is None else network.value(first)
+            channels.append((origin or start, end, friction, value))
+        elif first is None:
+            nodes[start] += value
+        else:
+            walls.append((origin, network.value(first), value))
+    for node in middles:
+        nodes.pop(node, None)
+    ends = tuple(end for end in ("a", FAR_END) if end in pins.values())
+    nodes |= {end: nodes.get(end, 0.0) for end in ends}
+    return DuctLaw(name, nodes, ends, tuple(channels), tuple(walls))
+
+
+def _list_series(
+    duct: Duct, ends: tuple[str, str], index: int, part: Part[DuctKeys], step: float
+) -> Iterator[AcousticElement]:
+    """Yield the series elements of a section: one mass, or branches of resistance and mass."""
+    keys, (start, end) = part.keys, ends
+    radius = keys.inner_radius
+    inertia = keys.fluid.density * step / (math.pi * radius**2)
+    if duct.viscous is None:
+        yield AcousticElement(MASS, f"s{index}", start, end, repr(inertia))
+        return
+    friction = keys.fluid.viscosity * step / (math.pi * radius**4)
+    for k, (corner, weight) in enumerate(duct.viscous.terms, 1):
+        name, node = f"s{index}_{k}", f"layer{index}_{k}"
+        yield AcousticElement(RESISTANCE, name, start, node, repr(friction * corner / weight))
+        yield AcousticElement(MASS, name, node, end, repr(inertia / weight))
+
+
+def _list_shunt(
+    duct: Duct, node: str, index: int, part: Part[DuctKeys], width: float
+) -> Iterator[AcousticElement]:
+    """Yield the compliance of a piece of the duct, and its thermal relaxations."""
+    keys, fluid = part.keys, part.keys.fluid
+    radius = keys.inner_radius
+    size = math.pi * radius**2 * width / (fluid.density * fluid.sound_speed**2)
+    yield AcousticElement(COMPLIANCE, f"p{index}", node, AMBIENT, repr(size), leak=True)
+    if duct.thermal is not None:
+        share = (fluid.heat_ratio - 1) * size
+        time = radius**2 / fluid.diffusivity
+        yield from list_relaxations(duct.thermal, (node, AMBIENT), share, time, str(index))
+
+
+class Vent(DuctPart):
+    name, title = "vent", "short duct with end corrections and losses"
+    schema = VentKeys
+    example = """
+[vent]
+part = "vent"
+length = "2 mm"
+radius = "1 mm"
+pins = { a = "housing.a" }
+
+[housing]
+part = "cavity"
+volume = "1 cm3"
+pins = { a = "push.out" }
+
+[push]
+part = "source"
+kind = "volume_velocity"
+ac = "1e-9 m3/s"
+
+[analysis]
+type = "ac"
+start = "100 Hz"
+stop = "3 kHz"
+"""
+
+
+class Tube(DuctPart):
+    name, title = "tube", "long duct of many sections with losses"
+    schema = TubeKeys
+    discretisations: ClassVar[tuple[str, ...]] = ("sections",)
+    example = """
+[tube]
+part = "tube"
+length = "17 cm"
+radius = "1 cm"
+end_b = "unflanged"
+pins = { a = "push.out", b = "gnd" }
+
+[push]
+part = "source"
+kind = "volume_velocity"
+ac = "1e-6 m3/s"
+
+[analysis]
+type = "ac"
+start = "100 Hz"
+stop = "3 kHz"
+"""
+
+    def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        keys = part.with_schema(TubeKeys).keys
+        if keys.closed and FAR_END in part.pins:
+            message = "a closed tube has no pin at its end b"
+            yield part.wrong("closed", message, f"closed = true and pins.{FAR_END}", "one of both")
+        if keys.closed and keys.end_b != "none":
+            yield part.wrong("end_b", "a closed end has no fluid outside", keys.end_b, "none")
+        if keys.sections is None and self._wanted_sections(part, scene) > MOST_SECTIONS:
+            warnings.warn(
+                f"{part.name}: the band needs {self._wanted_sections(part, scene)} sections, the "
+                f"tube has {MOST_SECTIONS}: its upper frequencies are less accurate",
+                stacklevel=2,
+            )
+
+    def _wanted_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+        """Return the number of sections for the band of a scene."""
+        waves = part.keys.length * acoustic_band(scene).high / part.keys.fluid.sound_speed
+        return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
+
+    def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+        stated = part.with_schema(TubeKeys).keys.sections
+        return stated or min(self._wanted_sections(part, scene), MOST_SECTIONS)
+
+
+register(Vent())
+register(Tube())
