@@ -48,7 +48,7 @@ UNITS = {
 }
 SUFFIXES = {
     "_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_hz": "Hz",
-    "_siemens": "S", "_k": "K", "_db": "dB", "_ohm": "Ω",
+    "_siemens": "S", "_k": "K", "_db": "dB", "_ohm": "Ω", "_pa": "Pa",
 }  # fmt: skip
 PLACE_UNITS = {
     "us": "µs",
@@ -114,6 +114,7 @@ TABLES = {
     "Voltages and currents": ("_v", "_a"),
     "Temperature rises": ("_k",),
     "Electrical impedances": ("_ohm",),
+    "Sound pressures": ("_pa",),
     "Sound pressure levels": ("_db",),
 }
 ASSUMPTIONS = (
@@ -308,8 +309,11 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
         label, unit, text = scaled(entry, quantity)
         sheet = entry[quantity]
         difference = answer.best / sheet["value"] - 1
+        level = text == "dB"  # differences of levels are no ratios
         inside = abs(difference) <= sheet["tolerance"]
         limit = f"{sheet['value'] / unit:.3g} {text} ± {100 * sheet['tolerance']:.3g} %"
+        if level:
+            limit = f"{sheet['value']:.6g} dB ± {sheet['tolerance'] * sheet['value']:.2g} dB"
         if sheet.get("at_least"):
             inside, limit = answer.best >= sheet["value"], f"at least {sheet['value']}"
         if entry.get("measured"):
@@ -318,10 +322,12 @@ def rows(name: str, entry: Mapping[str, Any], found: Mapping[str, Answer]) -> li
         verdict = "yes" if inside else "**no**"
         if entry.get("assumed"):
             verdict += ", assumed"
-        cells = ["-" if v is None else f"{v / unit:.4g} {text}".strip() for v in values]
+        digits = 6 if level else 4
+        cells = ["-" if v is None else f"{v / unit:.{digits}g} {text}".strip() for v in values]
+        off = f"{answer.best - sheet['value']:+.3f} dB" if level else percent(difference)
         lines.append(
             f"| `{name}` | {label} | {limit} | {' | '.join(cells)} "
-            f"| {'' if sheet.get('at_least') else percent(difference)} | {verdict} |"
+            f"| {'' if sheet.get('at_least') else off} | {verdict} |"
         )
     return lines
 
