@@ -93,7 +93,8 @@ def _explain_invalid(
             table_schema = _find_schema(schema, path)
             fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
-            near = did_you_mean(word, fields) or did_you_mean(word, every)
+            elsewhere = (item for item in every if item.rpartition(".")[2] == word)
+            near = did_you_mean(word, fields) or did_you_mean(word, elsewhere)
             near = (
                 _list_replacement_hints(table_schema).get(word)
                 or _suggest_key(word, fields)
@@ -430,7 +431,9 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 
 
 def _suggest_spelling(value: object, si: str) -> str | None:
-    """Suggest the spelling of a quantity with a decimal comma or without a unit."""
+    """Suggest the spelling of a quantity with a decimal comma or a missing or misspelt unit."""
+    from difflib import get_close_matches  # imported here, because most values are valid
+
     if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
@@ -438,7 +441,11 @@ def _suggest_spelling(value: object, si: str) -> str | None:
             _parse_quantity(text, si)
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
             return f'write  "{f"{number} {unit}".strip()}"'
-    return None
+    match = _NUMBER.fullmatch(value)
+    if match is None or _parse_unit(match[2]) is not None:
+        return None
+    near = get_close_matches(match[2], [f"{prefix}{si}" for prefix in ("", *_PREFIX)], 1, 0.7)
+    return f'write  "{match[1]} {near[0]}"' if near else None
 
 
 def invalid_value_error(

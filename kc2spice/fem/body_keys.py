@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.core.quantities import Count, Frequency, Notch, Rate, Ratio, Section
+from kc2spice.core.quantities import (
+    Count,
+    Frequency,
+    Notch,
+    Rate,
+    Ratio,
+    Section,
+    invalid_value_error,
+)
 
 
 class Mesh(Section):
@@ -93,9 +101,10 @@ class Damping(Section):
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
             raise ValueError("a damping ratio is negative, or a frequency is not greater than 0")
         if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
-            raise ValueError(
-                "the damping is overcritical: the damping ratio must be below 1 and the Q "
-                "factor above 0.5; for 1 % damping, write ratio = 0.01 or quality = 50"
+            raise invalid_value_error(
+                "the damping is overcritical",
+                "a damping ratio below 1, or a Q factor above 0.5",
+                hint="for 1 % damping, write ratio = 0.01 or quality = 50",
             )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
             raise ValueError(

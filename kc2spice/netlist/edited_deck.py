@@ -14,7 +14,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.expression import Trace, literal_value, parse_vector
@@ -201,25 +201,24 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
     missing = [v for v in edited.saved_vectors if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
-    hints = []
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
-    for name in map(str.lower, missing):
-        if name not in sources:
-            continue
-        source = sources[name]
-        node = source.nodes[0]
-        hints.append(
-            f"a 0 V source of its name reads the current of whatever drives {node}: "
-            f"{source.name} {node} NODE 0, with your driver's output at NODE"
+    hint = "use the names of nodes and devices of the deck that kc2spice export writes"
+    absent = list(filter(None, map(sources.get, map(str.lower, missing))))
+    if absent:
+        node = absent[0].nodes[0]
+        hint = (
+            f"measure the current into {node} by a source of 0 V between NODE, the output of your "
+            f"driver, and {node}:  {absent[0].name} {node} NODE 0"
         )
-    if len(hints) < len(missing):
-        hints.append("give renamed nodes and devices their old names")
+    listed = ", ".join(missing[:MAX_CANDIDATES])
+    if len(missing) > MAX_CANDIDATES:
+        listed += f", … ({len(missing)} in all)"
     raise UsageError(
         "the scene's results need nodes or devices that this deck does not have",
         where=str(path),
-        got=", ".join(missing),
+        got=f"no {listed}",
         expected="nodes and devices of these names",
-        hint="; ".join(hints),
+        hint=hint,
     )
 
 

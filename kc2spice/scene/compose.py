@@ -129,7 +129,11 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
     else:
         listed = list_candidates(name, scene.parts)
         expected = f"gnd or PART.PIN with a part of the scene: {listed}"
+    existing = [f"{part}.{pin}" for part in scene.parts if (part, pin) in scene.terminals]
     near = did_you_mean(target, pins) if pins else did_you_mean(name, scene.parts)
+    if not pins and near is not None and existing:
+        similar = next((full for full in existing if repr(full.partition(".")[0]) in near), None)
+        near = f"did you mean {similar!r}?" if similar else near
     raise UsageError(
         "this pin does not exist", where=where, got=repr(target), expected=expected, hint=near
     )

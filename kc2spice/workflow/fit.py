@@ -171,7 +171,7 @@ def fit(
     """
     loaded = load_scene(scene)
     listed = _is_list_of_curves(data)
-    if not listed and not isinstance(loaded.part(part, "SCENE:PART").type, LinearBody):
+    if not listed and not isinstance(loaded.part(part, f"{loaded.name}:{part}").type, LinearBody):
         data, listed = [{"file": data}], True
     if listed:
         return _fit_curves(loaded, part, data, vary, out, progress, shunt)
