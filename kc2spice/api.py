@@ -84,14 +84,14 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     >>> print(f"{1e3 * models['plate'].facts['mass_kg']:.3f} g")
     1.178 g
     """
-    from kc2spice.parts.bodies._body_model import full_model_alone
+    from kc2spice.parts.bodies._body_model import full_model_without_scene
     from kc2spice.parts.bodies._linear_body import LinearBody
 
     loaded = load_scene(scene)
     models = {}
     for name, part in loaded.parts.items():
         if isinstance(part.type, LinearBody):
-            models[name] = replace(full_model_alone(part, loaded, Clock()), name=name)
+            models[name] = replace(full_model_without_scene(part, loaded, Clock()), name=name)
     return models
 
 

@@ -243,7 +243,7 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.models": "build_models model_values name_subcircuits value_units",
     "kc2spice.workflow.orders": "suggested_keys",
     "kc2spice.workflow.reduce_files": "_load_scene_body export_rom first_deck reduce_file",
-    "kc2spice.workflow.refine": "measure_again",
+    "kc2spice.workflow.refine": "repeat_timing",
     "kc2spice.workflow.run": "complete_run run_scene",
     "kc2spice.workflow.simulate": "run_simulation simulate_deck",
     "kc2spice.workflow.sweep": "engine",

@@ -46,7 +46,7 @@ class Quantity:
     factor: float = 1.0
 
     @property
-    def plural(self) -> str:
+    def plural_name(self) -> str:
         """Plural of the name, for messages."""
         words = self.name.replace("_", " ")
         return f"{words.removesuffix('y')}ies" if words.endswith("y") else f"{words}s"
@@ -158,7 +158,7 @@ class Domain:
         return self.driven == "across" and self.power == "across * through"
 
     @property
-    def relaxes(self) -> bool:
+    def is_relaxing(self) -> bool:
         """Whether responses decay without oscillation, because no quantity has inertia (heat)."""
         return self.power == "through"
 
@@ -378,6 +378,6 @@ def describe_units(units: Collection[str]) -> str:
         letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"
         of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:
-            words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural})" for q in across)
-            words[f"1 A = 1 {through.pin_unit} ({through.plural})"] = None
+            words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural_name})" for q in across)
+            words[f"1 A = 1 {through.pin_unit} ({through.plural_name})"] = None
     return ", ".join(words)

@@ -185,20 +185,20 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
         yield _Repair(problem, number, repaired, _suggest_line(repaired))
 
 
-def _find_lone_quote(line: str) -> str:
+def _find_unmatched_quote(line: str) -> str:
     """Find a quote without its counterpart; return an empty string without one."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
 
 
-def _repair_lone_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_unmatched_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Yield repairs of a quote without its counterpart."""
     # the parser reports the missing end of 'text at the next apostrophe or at the end of the file
-    above = (at for at, line in enumerate(lines[:number], start=1) if _find_lone_quote(line))
+    above = (at for at, line in enumerate(lines[:number], start=1) if _find_unmatched_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
-        mark = _find_lone_quote(line)
+        mark = _find_unmatched_quote(line)
         if not mark:
             continue
         opening = re.sub(rf"=(\s*)([^{mark}=]+{mark}\s*)$", rf"=\1{mark}\2", line)
@@ -247,7 +247,7 @@ def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
     _repair_quotes,
-    _repair_lone_quote,
+    _repair_unmatched_quote,
     _repair_brackets,
     _repair_backslash,
 )

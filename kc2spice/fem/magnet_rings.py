@@ -24,7 +24,7 @@ from kc2spice.core.quantities import MU_0
 
 HEIGHT_NODES = 40  # number of Chebyshev heights at which the couplings are computed
 SELF_DIVISIONS = 24  # divisions of the longer side of a coil, for its self-inductance
-MUTUAL_DIVISIONS = 16  # divisions along the longer side, for the mutual inductance
+MUTUAL_DIVISIONS = 16  # divisions of the longer side of a section, for the mutual inductance
 MIN_FILL = 0.02  # share of a cell's section that conducts; a ring with less carries no current
 AXIS_CELLS = 4  # cells from the axis within which four points per section are used
 GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side

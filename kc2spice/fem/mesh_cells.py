@@ -137,12 +137,12 @@ def divide_faces(faces: np.ndarray) -> np.ndarray:
 
     A quadrilateral whose last two nodes are the same is one triangle.
     """
-    turned = _turn_lowest_first(faces)
+    turned = _rotate_to_lowest_node(faces)
     result = np.concatenate([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]])
     return result[(np.diff(np.sort(result, axis=1), axis=1) > 0).all(axis=1)]
 
 
-def _turn_lowest_first(faces: np.ndarray) -> np.ndarray:
+def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
     order = (faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])) % faces.shape[1]
     return np.take_along_axis(faces, order, axis=1)
 
@@ -173,7 +173,7 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     if block.corners == block.dimension + 1:
         return [(cells, np.arange(len(cells)))]
     if block.dimension == 2:
-        turned, every = _turn_lowest_first(cells), np.arange(len(cells))
+        turned, every = _rotate_to_lowest_node(cells), np.arange(len(cells))
         return [(turned[:, [0, 1, 2]], every), (turned[:, [0, 2, 3]], every)]
     result, lowest = [], cells.argmin(axis=1)
     for corner in range(block.corners):
@@ -181,7 +181,7 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
         for face in ELEMENT_FACES[block.corners]:
             if corner in face:
                 continue
-            turned = _turn_lowest_first(cells[members][:, face])
+            turned = _rotate_to_lowest_node(cells[members][:, face])
             for triangle in ((0, 1, 2), (0, 2, 3))[: len(face) - 2]:
                 apex = cells[members, corner]
                 result.append((np.column_stack([apex, turned[:, triangle]]), members))
@@ -201,7 +201,7 @@ def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.
             around = [middles[_sorted_pair(face[i - 1], face[i])] for i in range(4)]
             centre = points[nodes[:, around]].sum(axis=1) / 2
             places.append(centre - points[nodes[:, list(face)]].sum(axis=1) / 4)
-            ends.append(_turn_lowest_first(nodes[:, list(face)])[:, [0, 2]])
+            ends.append(_rotate_to_lowest_node(nodes[:, list(face)])[:, [0, 2]])
     if block.corners == 8:
         around = list(middles.values())
         corner = block.vertices.argmin(axis=1)

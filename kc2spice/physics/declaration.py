@@ -101,17 +101,17 @@ class Branch:
 
     @property
     def domain(self) -> Domain:
-        """Physical domain of its pins."""
+        """Physical domain of the pins of the branch."""
         return QUANTITIES[self.kind][0]
 
     @property
     def flows(self) -> bool:
-        """Whether its coordinate flows through the pins, such as a current."""
+        """Whether the coordinate of the branch flows through the pins, such as a current."""
         return QUANTITIES[self.kind][1] == "through"
 
     @property
     def moves(self) -> bool:
-        """Whether its coordinate is a position, such as a displacement."""
+        """Whether the coordinate of the branch is a position, such as a displacement."""
         return self.domain.position and not self.flows
 
     @property
@@ -121,7 +121,7 @@ class Branch:
 
     @property
     def lossy_variable(self) -> str:
-        """Variable on which its losses depend: a velocity for a displacement, or the coordinate."""
+        """Variable on which the losses of the branch depend: a velocity, or the coordinate."""
         return self.rate if self.moves else self.name
 
     @property
@@ -389,7 +389,7 @@ class Declaration:
             *self.variables,
             *self.parameters,
         }
-        thermal = any(domain.relaxes for domain in self.domains.values())
+        thermal = any(domain.is_relaxing for domain in self.domains.values())
         lossy = self.losses_of_model or self.heat_power != ZERO
         return lossy and not names_in_use and not thermal
 
@@ -508,7 +508,7 @@ class Declaration:
         """Range in which the equations hold, in words."""
         if self.validity:
             return self.validity
-        if any(domain.relaxes for domain in self.domains.values()):
+        if any(domain.is_relaxing for domain in self.domains.values()):
             return "keys independent of temperature; nothing here ages or breaks"
         return "constant temperature; no heating, ageing or failure"
 
@@ -711,7 +711,7 @@ class Declaration:
     @cached_property
     def heat_power(self) -> Tree:
         """The power [W] of all losses outside of the thermal domain."""
-        lossy = [b for b in self.acting_branches if not b.domain.relaxes]
+        lossy = [b for b in self.acting_branches if not b.domain.is_relaxing]
         forces = () if self.ideal_work else self._powers_of_forces
         return add_trees(*map(self._dissipated_power, lossy), *forces)
 

@@ -113,7 +113,8 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
 
 
 def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
-    """Return the temperature of the pin of heat, and the heat flow into it, by its ``meter``."""
+    """Return the vectors of the temperature at the pin of heat, and of the heat flow through its
+    ``meter``."""
     flow = f"i(v.x{part.name}.{meter})".lower()
     result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}
     across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT))

@@ -123,7 +123,7 @@ class Radau:
         # rounding error of a change by Newton's method, relative to the tolerance
         self.rounding = 0.0
 
-    def guess(self, end: float) -> float:
+    def choose_first_step(self, end: float) -> float:
         """Choose the first step: a hundredth of the time in which the state doubles."""
         rates = np.linalg.lstsq(self.M, self.f, rcond=None)[0]
         speed = _norm((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
@@ -428,7 +428,7 @@ def _integrate_interval(
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):
-        step, h_next = solver.advance(min(h or solver.guess(end), pace), end)
+        step, h_next = solver.advance(min(h or solver.choose_first_step(end), pace), end)
         after = interval.guards(step.end, step.last)
         wrong = np.flatnonzero((before < 0.0) & (after < before))
         if wrong.size:

@@ -129,11 +129,11 @@ def fit_branches(samples: Samples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.polish, _propose_starts(samples, elements)))
+        ends = list(map(samples.refine, _propose_starts(samples, elements)))
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.polish(_select_best(samples, ends), SELECTION_EVALUATIONS)
+        elements = samples.refine(_select_best(samples, ends), SELECTION_EVALUATIONS)
         elements = _simplify(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
@@ -145,7 +145,7 @@ def fit_branches(samples: Samples) -> Elements:
         patience = PATIENCE if samples.rms(best) < POOR_DEVIATION else POOR_PATIENCE
         if samples.is_described(best):
             break
-    best = samples.polish(_simplify(samples, best, best), FINAL_EVALUATIONS)
+    best = samples.refine(_simplify(samples, best, best), FINAL_EVALUATIONS)
     slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
@@ -220,7 +220,7 @@ def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Eleme
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler(samples, elements, element):
-            end = samples.polish(fewer)
+            end = samples.refine(fewer)
             if end and samples.criterion(end) < value:
                 return _simplify(samples, end, end)
     return elements

@@ -290,7 +290,7 @@ class Samples:
         positive = tuple(e.scaled(factor) for e, factor in factors if factor > 0)
         return ((*positive, *leads) if positive else ()), float(left)
 
-    def polish(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
+    def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
         """Fit all parameters by nonlinear least squares, at most ``evaluations``."""
         if not elements:
             return elements

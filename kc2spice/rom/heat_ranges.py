@@ -52,7 +52,7 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 from kc2spice.rom.varying import interpolate_facts, make_range_error
 
-SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at single values
+SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at each value of the parameters
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
 FINAL_SHARE = 0.6  # share of the tolerance at the samples
 SAFETY = 1.5  # margin for values between the samples

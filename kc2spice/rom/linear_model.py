@@ -633,7 +633,7 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
         )
 
 
-def is_half_stored(matrix: Matrix) -> bool:
+def stores_one_triangle(matrix: Matrix) -> bool:
     """Whether only one triangle of a matrix has entries beside the diagonal."""
     if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False

@@ -115,7 +115,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         E, K = ([m for m, use in zip(terms[k], active, strict=True) if use] for k in LETTERS)
         return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
 
-    def represents(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
+    def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
         """Whether the sum is the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
         ours = terms.at({axis.name: axis.value(x) for axis, x in pairs})
@@ -133,13 +133,13 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
             alone: list[tuple[int, ...]] = [(0,)] * len(axes)
             alone[k] = powers
             place = tuple(CHECKED[0] * (n == k) for n in range(len(axes)))
-            if represents(interpolate(alone), place):
+            if is_exact(interpolate(alone), place):
                 chosen.append(powers)
                 break
         else:
             raise _no_terms_error(axis.name, "its matrices are no sum with this key as a factor")
     result = interpolate(chosen)
-    if len(axes) > 1 and not represents(result, CHECKED[: len(axes)]):
+    if len(axes) > 1 and not is_exact(result, CHECKED[: len(axes)]):
         raise _no_terms_error(frame.name, "its matrices are no sum with these keys as factors")
     return result
 

@@ -193,7 +193,7 @@ def is_symmetric(matrix: Matrix) -> bool:
 
 
 def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
-    """``V'PV``, its symmetric and skew parts each from that part of P alone.
+    """Compute ``V'PV``; its symmetric and skew parts follow from the same parts of P.
 
     The symmetry of P may be ``known``: its parts take longer than the product.
     """
@@ -428,7 +428,7 @@ class Pencil:
 
     @property
     def without_free_motion(self) -> Pencil:
-        """Pencil without its rigid-body modes."""
+        """This pencil without rigid-body modes."""
         return self._part(slice(self.free, None), 0)
 
     def _part(self, q: slice, free: int) -> Pencil:

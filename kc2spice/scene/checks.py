@@ -68,7 +68,7 @@ class Check:
         return self.value <= self.limit
 
     @property
-    def fatal(self) -> bool:
+    def is_fatal(self) -> bool:
         """Whether the check fails the run."""
         return self.action == "fail" and not self.passed
 
@@ -117,7 +117,7 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
     SimulationError : a violated check.
     """
     for check in checks:
-        if check.fatal:
+        if check.is_fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
             # the sentence contains names of keys in the user's spelling
             name = check.name if " " in check.name else check.name.replace("_", " ")

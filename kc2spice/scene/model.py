@@ -497,7 +497,7 @@ class Scene(WiredScene):
         """Return file, line and name of a key; the name alone without a file."""
         return key if self.source is None else self.source.where(key)
 
-    def overridden(self, first: str, second: str) -> str:
+    def select_overridden_key(self, first: str, second: str) -> str:
         """Return ``first`` if overrides set it and not ``second``; otherwise ``second``."""
         if self.source is None or self.source.overrides_key(second):
             return second

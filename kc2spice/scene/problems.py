@@ -130,7 +130,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
     elif not stop - start > SMALLEST_STEP_RATIO * selected.points * stop:
         yield UsageError(
             "the frequency range is empty",
-            where=scene.overridden("analysis.start", "analysis.stop"),
+            where=scene.select_overridden_key("analysis.start", "analysis.stop"),
             got=f"{start:g} … {stop:g} Hz",
             expected=f"a stop above the start, {start:g} Hz, and points that differ by "
             f"more than {SMALLEST_STEP_RATIO:g} of the stop",

@@ -101,7 +101,7 @@ class Vector:
 
     @property
     def density(self) -> Vector:
-        """Spectral density of its noise."""
+        """Spectral density of the noise."""
         return Vector("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 

@@ -192,7 +192,7 @@ class Checks(Section):
 
 
 class Bench(Section):
-    """Metrics and limits by which ``bench`` judges settings."""
+    """Metrics and error limits of the command ``bench``."""
 
     metric: tuple[str, ...] = Field(
         (),

@@ -455,7 +455,7 @@ def run_with_retries(
             waves = engine(tried)
             verdict = judge(waves)
             points = waves["time"].size if "time" in waves else None
-            violated = [check for check in verdict.checks if check.fatal]
+            violated = [check for check in verdict.checks if check.is_fatal]
             require_passed(verdict.checks, deck.name)
         except SimulationError as raised:
             error: SimulationError = raised

@@ -287,7 +287,7 @@ class PortTerminal:
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source by the port's input, with its weight in a ``row``."""
+        """Return the source that adds the input of a port with its weight in ``row``."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)

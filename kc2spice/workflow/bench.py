@@ -221,7 +221,7 @@ class _Plane:
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
             for point in repeated:
-                point.times.append(refine.measure_again(point.run))
+                point.times.append(refine.repeat_timing(point.run))
 
     def record(self, point: _Point) -> dict[str, Any]:
         """Return the row of a setting in ``bench.json``."""

@@ -38,7 +38,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
-from kc2spice.parts.bodies._body_model import full_model_alone, scene_band
+from kc2spice.parts.bodies._body_model import full_model_without_scene, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
 from kc2spice.rom.band import MAX_DENSE_EQUATIONS, natural_band
@@ -577,7 +577,7 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
             got=f"a part of type {part.type.name}",
             expected=list_candidates(part_name, bodies) or "a body; this scene has none",
         )
-    full = full_model_alone(part, scene, Clock(progress))
+    full = full_model_without_scene(part, scene, Clock(progress))
     restricted = full.select(part.type.used_port_names(part, scene))
     return replace(
         restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)

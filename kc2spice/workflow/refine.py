@@ -202,7 +202,7 @@ def evaluate_scene(
         return simulate_deck(build, deck, Path(folder), retries=retries)
 
 
-def measure_again(run: Run) -> float:
+def repeat_timing(run: Run) -> float:
     """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         shared = bool(run.build.sampled_sources)

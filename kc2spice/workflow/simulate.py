@@ -145,7 +145,7 @@ def simulate_deck(
     2.0000 A
     """
 
-    def judge_waves(waves: Waveforms) -> Verdict:
+    def check_waves(waves: Waveforms) -> Verdict:
         """Return metrics, checks and balances of the waves."""
         result = list_checks(waves, build)
         result = replace(result, checks=(*result.checks, *point.checks))
@@ -163,7 +163,7 @@ def simulate_deck(
         directory,
         lambda tried: run_simulation(build, tried, directory, progress, timeout),
         retries=build.scene.solver.retries if retries is None else retries,
-        judge=judge_waves,
+        judge=check_waves,
     )
     if build.functions and len(result.attempts) > 1:
         names = ", ".join(build.functions)

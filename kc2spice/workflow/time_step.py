@@ -92,7 +92,7 @@ def _is_thermal(network: Network) -> bool:
     constants.
     """
     kinds = set(list_pin_kinds(network.laws).values())
-    return all(DOMAINS[kind].relaxes for kind in kinds)
+    return all(DOMAINS[kind].is_relaxing for kind in kinds)
 
 
 @dataclass(frozen=True)

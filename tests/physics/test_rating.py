@@ -40,7 +40,7 @@ def test_a_run_beyond_the_rating_is_told(volts, passed):
     waves = Waveforms(data, {})
     build = resolve_build(Build(scene, {"kick": MODEL}))
     found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
-    assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "V")]
+    assert [(c.passed, c.is_fatal, c.unit) for c in found] == [(passed, False, "V")]
 
 
 @pytest.mark.parametrize("scale", ["frequency", "sweep", "time"])
@@ -70,4 +70,4 @@ def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
     waves = Waveforms({"frequency": np.array([1e3, top])}, {})
     checks = chip.type.checks(chip, resolve_build(Build(scene, {"kick": model})), waves)
     found = [c for c in checks if "band" in c.name]
-    assert [(c.passed, c.fatal, c.unit) for c in found] == [(passed, False, "Hz")]
+    assert [(c.passed, c.is_fatal, c.unit) for c in found] == [(passed, False, "Hz")]

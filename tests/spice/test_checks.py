@@ -85,7 +85,7 @@ def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, mod
     check = next(c for c in judged(wrong, scene, table, model).checks
                  if c.name == "steps of kick against its exact answer")  # fmt: skip
     assert not check.passed
-    assert not check.fatal
+    assert not check.is_fatal
     assert check.value == pytest.approx(0.05, rel=0.1)
 
 
@@ -106,7 +106,7 @@ def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, m
     free = varied(**{"checks.energy": action})
     bad = changed(waves, **{"kick.current": 2 * waves["kick.current"]})
     checks = judged(bad, free, table, model).checks
-    assert any(c.fatal for c in checks) == fails
+    assert any(c.is_fatal for c in checks) == fails
     assert ("energy of kick" in {c.name for c in checks}) == (action != "off")
 
 

@@ -11,7 +11,7 @@ from support import (
     complete_run,
     load_scene,
     make_deck,
-    measure_again,
+    repeat_timing,
     run_shared,
     verify_scenes,
 )
@@ -82,7 +82,7 @@ def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_p
     done = complete_run(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
     assert done.record["simulator"]["engine"] == "shared"
     assert done.run.cpu_s > 0
-    assert measure_again(done.run) > 0
+    assert repeat_timing(done.run) > 0
 
 
 def test_files_that_are_no_function_are_refused(tmp_path):

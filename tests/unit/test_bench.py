@@ -23,7 +23,7 @@ def simulator(scene, *_, **__):
 @pytest.fixture(autouse=True, scope="module")
 def timed_again():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "measure_again", lambda run: run.cpu_s)
+        patch.setattr(refine, "repeat_timing", lambda run: run.cpu_s)
         yield
 
 

@@ -30,7 +30,7 @@ def test_an_outcome_is_undecided_if_the_error_reaches_the_limit(error, share):
         assert checks["table_left undecided"].action == "warn"
         assert not checks["table_left undecided"].passed
     if not left.passed:
-        assert left.fatal
+        assert left.is_fatal
 
 
 def test_an_outcome_far_from_its_limit_is_decided():

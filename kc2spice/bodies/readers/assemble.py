@@ -30,7 +30,7 @@ from kc2spice.bodies.readers.sidecar import (
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import complete_triangle
-from kc2spice.rom.linear_model import LinearModel, Port, is_half_stored, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, stores_one_triangle, with_potentials
 from kc2spice.rom.pencil import Matrix
 
 # imaginary part of a row that is rounding error, relative to the real part
@@ -48,7 +48,7 @@ def assemble_model(rows: Rows) -> LinearModel:
     rows = replace(rows, matrices=_match_letters(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
     rows = replace(rows, matrices=rows.convert_to_si())
-    if any(entry.kind == ELECTRICAL.port and entry.placed for entry in rows.sidecar.ports):
+    if any(entry.kind == ELECTRICAL.port and entry.selects_nodes for entry in rows.sidecar.ports):
         return _assemble_piezoelectric(rows)
     return _assemble_mechanical(rows)
 
@@ -123,7 +123,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     if structural and "K" in result:
         result["K"] = stiffness
     symmetric, square = rows.sidecar.symmetric, _square_matrices(result)
-    halves = [k for k, matrix in square.items() if is_half_stored(matrix)]
+    halves = [k for k, matrix in square.items() if stores_one_triangle(matrix)]
     if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
         problem = "the file contains only one triangle, but its header states 'general'"

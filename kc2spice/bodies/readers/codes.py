@@ -340,7 +340,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
             raise raw.make_unusable_error(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
     for letter in _NASTRAN_PREFIXES.values():
-        fits = [name for name in known.values() if _usual_letter(name) == letter]
+        fits = [name for name in known.values() if _standard_letter(name) == letter]
         if letter in selected or not fits or requested:
             continue
         if len(fits) > 1:
@@ -356,7 +356,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
     return selected
 
 
-def _usual_letter(name: str) -> str | None:
+def _standard_letter(name: str) -> str | None:
     """Return the letter of a matrix from the beginning of its name; None if unknown."""
     return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 

@@ -202,7 +202,7 @@ class NodeSelection(Section):
         return self
 
     @property
-    def placed(self) -> bool:
+    def selects_nodes(self) -> bool:
         """Whether the entry selects nodes."""
         return any(item is not None for item in (self.numbers or None, self.nodeset, self.at))
 
@@ -219,7 +219,7 @@ class Fixed(NodeSelection):
 
     @model_validator(mode="after")
     def _require_nodes(self) -> Fixed:
-        if not self.placed:
+        if not self.selects_nodes:
             expected = "one of node, nodes, nodeset and at"
             raise invalid_value_error(
                 "this entry names no nodes", expected, hint="add for example  node = 1"
@@ -259,7 +259,7 @@ class PortEntry(NodeSelection):
             )
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
-            if self.placed or directed:
+            if self.selects_nodes or directed:
                 expected = "column or row alone, or nodes with dof or axis"
                 raise invalid_value_error(
                     "this port has both a column or row and nodes",
@@ -272,12 +272,12 @@ class PortEntry(NodeSelection):
                 problem, "column", hint="write  column = 1  and neither node nor axis"
             )
         elif self.kind == ACCELERATION.port:
-            if self.axis is None or self.placed or self.dof is not None:
+            if self.axis is None or self.selects_nodes or self.dof is not None:
                 problem = "a port of kind acceleration can only have the key axis"
                 raise invalid_value_error(
                     problem, "axis", hint='write  axis = "z"  and neither node nor dof'
                 )
-        elif not self.placed:
+        elif not self.selects_nodes:
             expected = "one of node, nodes, nodeset, at, column and row"
             raise invalid_value_error(
                 "this port has no place", expected, hint="add for example  column = 1"

@@ -340,8 +340,8 @@ def _stack_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_
         above = len(_shared_nets(row, upwards=True))
         y += above + max(ups)
         row = [replace(item, y=y) for item in row]
-        tracks += _lay_tracks(row, y - max(ups) - 1, upwards=True)
-        below = _lay_tracks(row, y + max(downs) + 1, upwards=False)
+        tracks += _assign_tracks(row, y - max(ups) - 1, upwards=True)
+        below = _assign_tracks(row, y + max(downs) + 1, upwards=False)
         tracks += below
         placed += row
         y += max(downs) + len(below) + 2
@@ -393,7 +393,7 @@ def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
     return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
 
 
-def _lay_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
+def _assign_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
     """Return the tracks of a channel that begins at height ``y``.
 
     The net that begins furthest to the left has the track next to the row. No wire then crosses the

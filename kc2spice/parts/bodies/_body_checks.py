@@ -194,7 +194,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         count = last_change(load) + 1
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
-        def richer() -> LinearModel | None:
+        def build_larger_model() -> LinearModel | None:
             if self._has_constant_losses(part):
                 return None
             try:
@@ -203,7 +203,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 return None
 
         kinds = (LinearModel, Certificate, Port)
-        rich = load_or_build("enriched", key, richer, classes=kinds, sources=self.sources())
+        rich = load_or_build(
+            "enriched", key, build_larger_model, classes=kinds, sources=self.sources()
+        )
         if rich is None or count < 2:
             return None
         driven = [port for port in model.ports if port.kind != "output"]

@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._box import (
     RANGES_KEY,
     check_corners,
-    middle_values,
+    range_middles,
     values_of_part,
     varied_keys,
     with_values,
@@ -84,8 +84,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def varied(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """Return :meth:`full` on the mesh of ``like``, a part with other values, with nodes moved
-        to the values of this part.
+        """Return the full model on the mesh of ``like``, a part with other values, whose nodes are
+        moved.
         """
         return self.full(part, scene, clock)
 
@@ -157,7 +157,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ModelOverRanges:
         """Return the reduced model over the ranges of ``rom.parameters``."""
         keys = varied_keys(part)
-        middle = with_values(part, middle_values(keys))
+        middle = with_values(part, range_middles(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
         if loss_tangent(part):
@@ -187,7 +187,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
 
-            band = self.limit_band(target.band, key, lambda: full(middle_values(keys)))
+            band = self.limit_band(target.band, key, lambda: full(range_middles(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.time_stage("reduce", text) as share:
                 task = RangeTask(
@@ -221,7 +221,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         keys, names = varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
-        middle = with_values(part, middle_values(keys))
+        middle = with_values(part, range_middles(keys))
         return self.varied(part, scene, clock, middle).select(names)
 
     def build(
@@ -383,7 +383,7 @@ def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
     return kind.build(part, scene, clock, full=True)
 
 
-def full_model_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+def full_model_without_scene(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
     """Build the full model of a body outside its scene, with a warning of neglected losses."""
     if tangent := loss_tangent(part):
         warnings.warn(

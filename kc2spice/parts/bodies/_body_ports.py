@@ -57,7 +57,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """All ports that the body offers."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """First line of its library, with its assumptions."""
+        """First line of the library of a body, with the assumptions."""
         return self.title
 
     def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:

@@ -37,7 +37,7 @@ class VariedKey:
 
     @property
     def axis(self) -> ParameterAxis:
-        """Its range."""
+        """Range of the key."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
@@ -79,7 +79,7 @@ def values_of_part(keys: Iterable[VariedKey]) -> dict[str, float]:
     return {item.key: item.value for item in keys}
 
 
-def middle_values(keys: Iterable[VariedKey]) -> dict[str, float]:
+def range_middles(keys: Iterable[VariedKey]) -> dict[str, float]:
     """Return the values of the keys in the middle of their ranges."""
     return {item.key: item.axis.middle for item in keys}
 

@@ -275,7 +275,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Whether its rim is clamped, so that air cannot flow around it."""
+        """Whether the rim of the body is clamped, so that air cannot flow around the body."""
         return False
 
     def bonded(self, part: Part[FieldKeysT]) -> BondedBlocks:
@@ -300,7 +300,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Directions of its ports, all upwards."""
+        """Directions of the ports of the body, all upwards."""
         result = {}
         for port in self.ports(part, scene):
             if port.domain in (TRANSLATION, ACCELERATION):

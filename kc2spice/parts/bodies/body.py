@@ -656,7 +656,7 @@ class Body(MeshedBody[BodyKeys]):
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield its mesh, then the figures of all bodies."""
+        """Yield the mesh of the body, then the figures of all bodies."""
         curve = load_or_build(
             "outline",
             self.full_key(part, build.scene),

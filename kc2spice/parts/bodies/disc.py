@@ -72,7 +72,7 @@ class DiscLayer(Section):
 
     @property
     def electrode_diameter(self) -> float:
-        """Diameter of its electrodes [m]."""
+        """Diameter of the electrodes of the layer [m]."""
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")

@@ -86,13 +86,13 @@ def _declare(count: int, rows: int) -> Declaration:
     """Declare the stretching of ``count`` patches in ``rows`` rows."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
-    def mirrored(k: int, count: int) -> int:
+    def mirror_index(k: int, count: int) -> int:
         if k < 1:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
     def w(i: int, j: int) -> str:
-        i, j = mirrored(i, len(along)), mirrored(j, rows)
+        i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
     def slope(i: int, j: int, di: int, dj: int) -> str:

@@ -49,7 +49,7 @@ class Control(Section):
     )
 
     @property
-    def switching(self) -> tuple[tuple[float, float], ...]:
+    def switching_times(self) -> tuple[tuple[float, float], ...]:
         """Times [s] and states, 1 enabled and 0 not, in order."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
         return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

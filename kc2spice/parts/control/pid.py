@@ -191,7 +191,7 @@ class Pid(PartType[Control]):
     def expand(
         self, part: Part[Control], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
+        switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}
             return {f"{part.name}_enable": {"part": "source", "pulse": wave, "pins": pins}}
@@ -228,7 +228,7 @@ class Pid(PartType[Control]):
                 "kp = ki = kd = 0",
                 "at least one gain above zero",
             )
-        times, states = zip(*keys.switching, strict=True)
+        times, states = zip(*keys.switching_times, strict=True)
         if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
             problem = "enable and disable times do not alternate"
             got = f"{keys.enable_at}, disabled at {keys.disable_at}"
@@ -291,7 +291,7 @@ class Pid(PartType[Control]):
         current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
         if current is None or "time" not in waves:
             return
-        t, start = waves["time"], part.keys.switching[0][0]
+        t, start = waves["time"], part.keys.switching_times[0][0]
         limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
         advice = "the coils cannot give what the controller asks for: raise "
@@ -305,7 +305,7 @@ class Pid(PartType[Control]):
 
 
 def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
-    """The coils that it feeds."""
+    """Coils that the controller drives."""
     return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
 
 

@@ -90,7 +90,7 @@ class TemplatePart(PartType[KeysT]):
     def design(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Parameters of its netlist, and further values that the template asks for."""
+        """Parameters of the driver's netlist, and further values of the template."""
         return parameters(part.keys), _NOTHING
 
     def subcircuits(
@@ -108,7 +108,7 @@ class TemplatePart(PartType[KeysT]):
         params: tuple[Param, ...],
         values: Mapping[str, Any] = _NOTHING,
     ) -> Subcircuit:
-        """Return its library as a subcircuit with this name."""
+        """Return the library of the driver as a subcircuit with this name."""
         limits = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**limits, **self.constants, **values}
         result = render_library(
@@ -270,7 +270,7 @@ class CoilDriver(Driver[KeysT]):
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part[KeysT], build: Build) -> Load:
-        """Coils at its terminals, with the sphere at the set point."""
+        """Coils at the terminals of the driver, with the sphere at the set point."""
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(

@@ -309,7 +309,7 @@ def _inner_vector(node: str, part: str = "") -> str:
 
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
-    """Read its subcircuit as elements with nodes."""
+    """Read the subcircuit of the part as elements with nodes."""
     flat = read_untrusted_netlist(part.keys.file, scene.home)
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
     result = build_scope(tree).find(part.keys.subckt)

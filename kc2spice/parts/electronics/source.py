@@ -126,7 +126,7 @@ class SourceKeys(Section):
 
     @property
     def shape(self) -> str:
-        """Key of its values over time."""
+        """Key of the values of the source over time."""
         return next(iter(self._stated_shapes), "dc")
 
     @property
@@ -135,7 +135,7 @@ class SourceKeys(Section):
 
     @property
     def unit(self) -> str:
-        """SI unit of its values."""
+        """SI unit of the values of the source."""
         return SOURCE_TYPES[self.kind].unit
 
     @property
@@ -354,7 +354,7 @@ def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
 
 
 def _drives_signals_alone(part: Part[SourceKeys], build: Build) -> bool:
-    """Whether its voltage drives inputs of signals alone, which draw no current."""
+    """Whether the voltage of the source drives only inputs of signals, which draw no current."""
     scene = build.scene
     flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}
     return flows == {"-"} and build.net(part, "ret") == "0"

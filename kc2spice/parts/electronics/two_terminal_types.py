@@ -153,7 +153,8 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _letter(self) -> str:
-        """Letter of its card, in which a displacement is the voltage and a velocity its rate."""
+        """Letter of the element's card, in which a displacement is a voltage and a velocity its
+        rate."""
         return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
@@ -214,7 +215,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_loss(self) -> bool:
-        """Whether it has a loss, whose noise is thermal."""
+        """Whether the element has a loss, whose noise is thermal."""
         return self.declaration.loss_coefficient(self.branch) != ZERO
 
     @cached_property

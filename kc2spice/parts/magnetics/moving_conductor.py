@@ -393,10 +393,11 @@ class MovingBody(DeclaredPart[MovingT]):
     def field(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
     ) -> Ladder:
-        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
+        """Couplings of the body's loops with the coils and with ``fixed`` currents, and their
+        rates."""
 
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
-        """Faults of its shape."""
+        """Faults in the shape of the body."""
         return iter(())
 
     def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
@@ -420,7 +421,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     source = "rings (integral equation, axisymmetric), reduced"
 
     def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
-        """Faults of its shape."""
+        """Faults in the shape of the body."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong(
@@ -450,7 +451,8 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         rings: int,
         frequency: float,
     ) -> Ladder:
-        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
+        """Couplings of the body's loops with the coils and with ``fixed`` currents, and their
+        rates."""
         body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)

@@ -304,7 +304,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
-        """Keys on which its table depends."""
+        """Keys on which the force table depends."""
         catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
@@ -571,7 +571,8 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
 
 
 def result_prefix(part: Part[Coils]) -> str:
-    """First word of its results: ``coil`` for the paper's catch, otherwise its name."""
+    """First word of the result names: ``coil`` for the paper's catch, otherwise the part's
+    name."""
     return "coil" if part.name == "catch" else part.name
 
 
@@ -582,7 +583,7 @@ def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
 
 
 def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Whether its netlist has terminals of both coils."""
+    """Whether the netlist of the part has terminals of both coils."""
     return has_real_coils(part, scene) or bool(scene.of("current_cases"))
 
 

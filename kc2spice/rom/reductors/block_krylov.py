@@ -162,7 +162,7 @@ class OrthonormalBasis:
         return self._vectors[:, : self._count]
 
     @property
-    def images(self) -> np.ndarray:
+    def stiffness_products(self) -> np.ndarray:
         """The images K V (n, k)."""
         return self._images[:, : self._count]
 
@@ -173,12 +173,12 @@ class OrthonormalBasis:
         """
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
         # One product for the whole block: a product for each column takes several times as long.
-        candidates = candidates - self.vectors @ (self.images.T @ candidates)
+        candidates = candidates - self.vectors @ (self.stiffness_products.T @ candidates)
         self._reserve(candidates.shape[1])
         old = self._count
         for vector, length in zip(candidates.T, lengths, strict=True):
             for first in (old, 0):  # two passes suffice (Kahan, Parlett)
-                V, KV = self.vectors[:, first:], self.images[:, first:]
+                V, KV = self.vectors[:, first:], self.stiffness_products[:, first:]
                 vector = vector - V @ (KV.T @ vector)
             image = self._stiffness(vector)
             remaining = np.sqrt(max(vector @ image, 0.0))
@@ -186,7 +186,7 @@ class OrthonormalBasis:
                 self._vectors[:, self._count] = vector / remaining
                 self._images[:, self._count] = image / remaining
                 self._count += 1
-        return self.vectors[:, old:], self.images[:, old:]
+        return self.vectors[:, old:], self.stiffness_products[:, old:]
 
     def append(self, vectors: np.ndarray) -> None:
         """Append columns (n, m) to the basis without changing them."""
@@ -201,5 +201,5 @@ class OrthonormalBasis:
             return
         shape = len(self._vectors), 2 * self._count + count
         larger = np.empty((2, *shape[::-1])).swapaxes(1, 2)
-        larger[:, :, : self._count] = self.vectors, self.images
+        larger[:, :, : self._count] = self.vectors, self.stiffness_products
         self._vectors, self._images = larger
