@@ -21,6 +21,8 @@ from support import UsageError, quantity
         ("7850 kg/m³", "kg/m3", 7850.0),
         ("100 N/um", "N/m", 1e8),
         ("158.9 GPa", "Pa", 158.9e9),
+        ("28.7 l", "m3", 28.7e-3),
+        ("5 mL", "m3", 5e-6),
         ("5e4 A/m", "A/m", 5e4),
         ("50 A/mm", "A/m", 5e4),
         ("10 A/(m s)", "A/(m s)", 10.0),
