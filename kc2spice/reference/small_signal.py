@@ -122,13 +122,17 @@ class LinearisedSystem:
         return _FreeMotion(inverse @ dynamics, inverse, follow, cut)
 
     @cached_property
-    def poles(self) -> np.ndarray | None:
+    def poles(self) -> np.ndarray:
         """Natural frequencies ``a`` (m,) [1/s] of free motions ``e^(a t)``, complex.
 
-        None if the states do not determine the algebraic unknowns.
+        If the states do not determine the algebraic unknowns, these are the finite eigenvalues of
+        ``F X = a G X``.
         """
         motion = self._free_motion
-        return None if motion is None else np.linalg.eigvals(motion.rates)
+        if motion is not None:
+            return np.linalg.eigvals(motion.rates)
+        n = self.system.size
+        return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def output_rows(self, of: L.Reading) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows (N,) of ``C0`` and ``C1`` that give the reading ``of``."""
@@ -156,11 +160,7 @@ class LinearisedSystem:
         rated = np.vstack(
             [self.G @ substitution, np.eye(n + 2)[n], np.atleast_2d(C1) @ substitution]
         )
-        for axis in (1, 0):  # the units have very different sizes
-            size = np.maximum(np.abs(now), np.abs(rated)).max(axis=axis, keepdims=True)
-            now, rated = now / np.where(size, size, 1.0), rated / np.where(size, size, 1.0)
-        w = sla.eigvals(now, rated)
-        return np.asarray(w[np.isfinite(w)])
+        return _compute_finite_eigenvalues(now, rated)
 
     @cached_property
     def modes(self) -> Modes | None:
@@ -464,3 +464,13 @@ def _noise_power(at: LinearisedSystem, of: L.Reading, s: complex) -> float:
             drive = drive - s * device.stores @ charge
         power += float((np.abs(adjoint @ drive) ** 2).sum())
     return power
+
+
+def _compute_finite_eigenvalues(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the finite eigenvalues ``w`` of ``A x = w B x``, whose rows have different units."""
+    for axis in (1, 0):
+        size = np.maximum(np.abs(A), np.abs(B)).max(axis=axis, keepdims=True)
+        size = np.where(size, size, 1.0)
+        A, B = A / size, B / size
+    w = sla.eigvals(A, B)
+    return np.asarray(w[np.isfinite(w)])

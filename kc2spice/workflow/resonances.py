@@ -119,18 +119,17 @@ def _compute_poles(laws: SceneLaws) -> np.ndarray:
 
     A circuit without equations contributes the poles of its reduced models.
     """
-    try:
-        solved = list(map(_network_poles, laws.networks))
-    except UsageError:
-        solved = [None]
-    result = [poles for poles in solved if poles is not None]
-    missing = laws.missing
+    result, causes = list[np.ndarray](), [f"{name} has no equations" for name in laws.missing]
+    for network in laws.networks:
+        try:
+            result.append(_network_poles(network))
+        except (SimulationError, UsageError, np.linalg.LinAlgError) as error:
+            causes.append(str(error).splitlines()[0])
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
-    if models and (missing or len(result) < len(solved)):
-        cause = f"{', '.join(missing)} without equations" if missing else "a large circuit"
+    if models and causes:
         warnings.warn(
-            f"{cause}: maxima are searched only near the natural frequencies of the reduced "
-            f"models, but the circuit may shift the resonances",
+            f"maxima are searched only near the natural frequencies of the reduced models, "
+            f"although the circuit may shift the resonances: {'; '.join(causes)}",
             stacklevel=2,
         )
         result += [model.poles() for model in models]
@@ -170,10 +169,15 @@ def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]
     return {name: linear.zeros(network.readings[name], amplitudes) for name in of}
 
 
-def _network_poles(network: Network) -> np.ndarray | None:
-    """Return the poles of a network, None if it is too large or has no operating point."""
-    try:
-        system = assemble_system(network.laws, network.joins)
-        return LinearisedSystem(system).poles if system.size <= MAX_UNKNOWNS else None
-    except (SimulationError, UsageError, np.linalg.LinAlgError):
-        return None
+def _network_poles(network: Network) -> np.ndarray:
+    """Return the poles [1/s] of a network.
+
+    Raises
+    ------
+    UsageError : the network is too large.
+    SimulationError : the network has no operating point.
+    """
+    system = assemble_system(network.laws, network.joins)
+    if system.size > MAX_UNKNOWNS:
+        raise UsageError(f"the circuit has {system.size} unknowns, more than {MAX_UNKNOWNS}")
+    return LinearisedSystem(system).poles
