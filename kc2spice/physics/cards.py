@@ -129,6 +129,7 @@ def _write_items(
         )
     rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
     rated.update(declaration.displacements if linkages else ())
+    rated -= {b for b in declaration.branches if b.name in declaration.velocities}
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _write_coordinate(declaration, branch)
@@ -392,6 +393,8 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
         plus_pin, minus_pin = _sensed_pins(declaration, b)
         sensed = sensed if plus_pin != minus_pin else ZERO
         result[b.rate] = add_trees(sensed, subtract_trees(high, low))
+        if node := declaration.velocities.get(b.name):
+            result[b.rate] = CircuitVariable("v", (node, declaration.base or b.minus))
     return result
 
 
@@ -590,7 +593,8 @@ def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
 def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
+    motion, charge = declaration.split_motion(declaration.stored_quantity(b))
+    direct, inner = add_trees(declaration.direct_flow(b), motion), b.plus
     unit = _format_power_of_ten(b.domain.through_variable.per_unit)
     times_unit = "" if unit == ONE else f"*{format_tree(unit)}"
     heating = b == declaration.heat_branch
@@ -619,7 +623,8 @@ def _write_charge(
 def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    flux, drop, inner = declaration.stored_quantity(b), declaration.direct_flow(b), f"in_{b.name}"
+    motion, flux = declaration.split_motion(declaration.stored_quantity(b))
+    drop, inner = add_trees(declaration.direct_flow(b), motion), f"in_{b.name}"
     unit = _format_power_of_ten(b.domain.across.per_unit)
     across = b.domain.across.name.replace("_", " ")
     integral, si_unit = _time_integral(b.domain.across)

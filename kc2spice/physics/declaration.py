@@ -272,6 +272,8 @@ class Declaration:
     - Without ``metered``, forces and currents have no separate nodes and sources.
     - ``no_module`` is the reason why there is no compiled module.
     - ``inner`` are nodes between branches, which are no pins of the part.
+    - ``velocities`` are nodes of the same subcircuit with the rate of a displacement, relative to
+      its lower pin. Without them, the netlist differentiates the displacement.
     - ``mesh`` is the error estimate of the mesh or rings behind its numbers, in words.
     """
 
@@ -312,6 +314,7 @@ class Declaration:
     no_module: str = ""
     mesh: str = ""
     inner: tuple[str, ...] = ()
+    velocities: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = {*self.parameters, *self.variables, *self.signals}
@@ -678,6 +681,17 @@ class Declaration:
         if branch.moves:
             return self._slope("kinetic", branch.rate)
         return self._slope("coenergy", branch.name)
+
+    def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
+        """Return the rate of a stored quantity by motion, and the quantity without motion.
+
+        The motion is that of displacements with a node in ``velocities``, in which the quantity is
+        affine.
+        """
+        moving = [b for b in self.displacements if b.name in self.velocities]
+        rates = [multiply_trees(differentiate_tree(stored, b.name), Name(b.rate)) for b in moving]
+        still = add_trees(substitute_names(stored, {b.name: ZERO for b in moving}))
+        return add_trees(ZERO, *rates), still
 
     def mass(self, branch: Branch) -> Tree:
         """Mass of a displacement branch."""

@@ -229,6 +229,8 @@ def motor(
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
         inner=tuple(more.inner),
+        # sound is the second derivative of the displacement, which must not be differentiated twice
+        velocities={"x": "speed_m"} if sides else {},
     )
 
 
