@@ -170,7 +170,10 @@ stop = "1 kHz"
         has_area = any(getattr(keys, key) for key in AREA_KEYS)
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
         known = [key for key in DRIVER_UNITS if key not in AREA_KEYS or has_area]
-        start = np.array([stated.get(name, EXAMPLE_WOOFER[name]) for name in names])
+        first = EXAMPLE_WOOFER | {name: stated[name] for name in names if name in stated}
+        if "mmd" in stated and "mms" not in stated:  # mmd of a large cone must begin above zero
+            first["mms"] = stated["mmd"] + 2 * baffle_air_mass(first["sd"])
+        start = np.array(list(map(first.__getitem__, names)))
         relations = {key: make_relation(key, names) for key in known}
         tolerance = dict(keys.tolerance)
         values = StatedValues(part.name, stated, relations, start, DRIVER_UNITS, tolerance, {})
