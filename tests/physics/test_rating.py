@@ -58,7 +58,7 @@ def test_the_head_states_the_rating():
     from support import read_lib
 
     (part,) = read_lib(ROOT / "netlists" / "impact" / "impact_kick.lib")
-    assert re.search(r"(?m)^\* rating: 121.2 V between electrodes", part.text)
+    assert re.search(r"(?m)^\* rating: 121.2 V between the electrodes", part.text)
     assert re.search(r"(?m)^\* sign: um and N count along each port's direction", part.text)
 
 
