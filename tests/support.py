@@ -12,6 +12,7 @@ NAMES_BY_MODULE = {
         "Block BondedBlocks ForceShape Setup make_device outer_faces spread_force"
     ),
     "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
+    "kc2spice.bodies.face_motion": "FaceMotion sample_face_motion",
     "kc2spice.bodies.fields": (
         "FieldProbe compute_lowest_modes evaluate_at_nodes find_extremes "
         "largest_principal_stress recover_motion write_vtu"
@@ -126,6 +127,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies._body_model": "describe_target scene_band",
     "kc2spice.parts.bodies._body_ports": "inert_ports",
     "kc2spice.parts.bodies._box": "number_of varied_keys with_values",
+    "kc2spice.parts.bodies._face_levels": "find_node_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
     "kc2spice.parts.bodies._pictures": "OBLIQUE_SHIFT draw_deformed draw_modes",

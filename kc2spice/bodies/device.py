@@ -57,10 +57,14 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 
 @dataclass(frozen=True, eq=False)
 class ForceShape:
-    """Port of forces; ``weights`` (d nodes,) are the nodal forces of a unit force or pressure."""
+    """Port of forces; ``weights`` (d nodes,) are the nodal forces of a unit force or pressure.
+
+    ``facets`` are those on which a pressure acts.
+    """
 
     port: Port
     weights: np.ndarray
+    facets: np.ndarray | None = None
 
 
 def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
@@ -69,7 +73,7 @@ def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
     The pressure p acts against the outward normal n: its forces are ``-p int N n dS``, and the
     output of the port is ``-int u n dS``.
     """
-    return ForceShape(port, -compute_displaced_volume(solid, facets))
+    return ForceShape(port, -compute_displaced_volume(solid, facets), facets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +188,7 @@ def make_undamped_model(solid: Solid, setup: Setup) -> FiniteElementModel:
         -(Q.T @ K_pp @ R).toarray(),
         _choose_shift(solid, setup),
         float(mass.sum()) / solid.components,
+        {s.port.name: s.facets for s in setup.shapes if s.facets is not None},
     )
 
 

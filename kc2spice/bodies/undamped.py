@@ -5,8 +5,8 @@ The responses are capacitances, strokes and the lowest resonances.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -31,7 +31,8 @@ class FiniteElementModel:
 
     The unknowns z and voltages V give ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p
     + drive @ V`` (nodes,) with ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K +
-    shift M`` regular. ``mass`` [kg] is the mass of all nodes, also of fixed ones.
+    shift M`` regular. ``mass`` [kg] is the mass of all nodes, also of fixed ones. ``faces``
+    contains the facets of acoustic ports.
     """
 
     model: LinearModel
@@ -42,6 +43,7 @@ class FiniteElementModel:
     lift: np.ndarray
     shift: float
     mass: float
+    faces: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.

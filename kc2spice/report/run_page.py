@@ -28,6 +28,7 @@ from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.settings import Probe
 
 WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
+MIN_METRICS = 4  # metrics of a summary beside rows of assumptions
 OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
@@ -168,12 +169,17 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
     ``most`` is the largest number of metrics.
     """
     checks = result.get("checks", ())
+    left_out = result.get("plan", {}).get("left_out", ())
+    assumed = [row for row in left_out if row["summarised"]]
+    # rows of assumptions replace those of metrics, except the first four
+    fewer = None if most is None else max(most - len(assumed), min(most, MIN_METRICS))
     violated = [check for check in checks if not check["passed"]]
     point = format_operating_point(result, OPERATING_RESULTS)
     rows = [
         ("checks", format_verdict(checks)),
         *map(_violation_row, violated),
-        *_shorten(_metric_rows(result), most, "metrics"),
+        *_shorten(_metric_rows(result), fewer, "metrics"),
+        *map(itemgetter("effect", "error"), assumed),
         *((f"at the operating point: {name}", text) for name, text in point),
         *_model_rows(result),
     ]
@@ -273,7 +279,7 @@ def format_plan(
     for name, error in result.get("errors", {}).items():
         settings.append((f"error of {name}", "", _format_relative_error(error)))
     parts = list(map(tuple, map(dict.values, planned["parts"])))
-    omitted = list(map(tuple, map(dict.values, planned["left_out"])))
+    omitted = list(map(itemgetter("effect", "why", "error"), planned["left_out"]))
     return [
         PageSection("What is modelled", parts, ("part", "source", "model")),
         PageSection("Numerical settings", settings, ("key", "value", "error"), SETTINGS_NOTE),

@@ -21,11 +21,15 @@ PERPENDICULAR_COSINE = 1e-9  # largest cosine of two perpendicular directions (r
 
 @dataclass(frozen=True)
 class Neglected:
-    """Neglected effect, the reason, and the largest error that it causes."""
+    """Neglected effect, the reason, and the largest error that it causes.
+
+    The summary of a run contains ``summarised`` effects.
+    """
 
     effect: str
     why: str
     error: str
+    summarised: bool = False
 
 
 @dataclass(frozen=True)

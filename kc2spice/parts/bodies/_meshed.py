@@ -25,7 +25,6 @@ from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.mesh_error import limited_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
 from kc2spice.parts.bodies._neglected import (
     Envelope,
@@ -34,6 +33,7 @@ from kc2spice.parts.bodies._neglected import (
     neglected_effects,
 )
 from kc2spice.parts.bodies._pictures import draw_deformed, draw_modes
+from kc2spice.parts.bodies._sounding import SoundingBody
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import (
@@ -95,7 +95,7 @@ class RecoveredFields:
         return max(limited, key=lambda item: item.value / (item.limit or 1.0))
 
 
-class MeshedBody(LinearBody[FieldKeysT]):
+class MeshedBody(SoundingBody[FieldKeysT]):
     """A body with a key ``fields``; a subclass makes its device."""
 
     @abstractmethod

@@ -21,6 +21,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, BondedBlocks, Box, outer_faces
+from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validate
@@ -28,7 +29,7 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import BondedBody
-from kc2spice.scene.model import Part
+from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
 # number of cells along the largest radius (or half the height) before refinement
@@ -270,6 +271,20 @@ class Disc(BondedBody[DiscKeys]):
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
         return f"support is {part.keys.support}, ideal"
+
+    def support_diameter(self, part: Part[DiscKeys], node: float | None) -> float | None:
+        support = part.keys.support
+        if isinstance(support, Node):
+            return support.node
+        return node if support == "free" else None
+
+    def device_on_ring(
+        self, part: Part[DiscKeys], scene: GovernedScene, diameter: float
+    ) -> FiniteElementModel:
+        node = Node(node=min(diameter, part.keys.largest_diameter))
+        keys = part.keys.model_copy(update={"support": node})
+        faces = self.sounding(part, scene).faces
+        return replace(disc_body(keys, part.name), faces=faces).device()
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
         return part.keys.support != "free"

@@ -1,0 +1,137 @@
+"""Motion of a radiating face: how far it differs from that of a piston, and what this changes.
+
+An acoustic port represents the face by its volume velocity alone. With the normal velocity v, the
+surface S and the wave number k, a face in an infinite baffle has the far field
+
+    p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
+
+On the axis, F is the volume velocity, whatever the shape of the motion. Off the axis, and for the
+radiated power ``int |F|^2 dOmega``, the shape counts; a piston of radius a has
+``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
+
+Without a baffle, the sound of the back cancels that of the front. A thin disc of radius a then
+radiates as a dipole. At small k a, its field on the axis relative to that in a baffle is
+``k / 2 int v g dS / int v dS`` with ``g = (4 / pi) (a^2 - r^2)^1/2``, the potential difference
+across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed., section 102).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.special import j0, j1
+
+from kc2spice.bodies.undamped import FiniteElementModel
+
+FACE_QUADRATURE = 5  # order of integration on a face
+POLAR_ANGLES, AZIMUTHS = 48, 32  # directions over a half-space; the far field at k a = 20 needs 30
+
+
+@dataclass(frozen=True, eq=False)
+class FaceMotion:
+    """Normal displacement of a face at integration points, for several motions of its body.
+
+    Attributes
+    ----------
+    places : positions (d, points) [m], of a body of revolution radius and height.
+    areas : surface (points,) [m^2] that each point represents.
+    normal : displacement (points, motions) along the outward normal.
+    axis : unit vector (d,) of the face's mean outward normal.
+    axisymmetric : whether the body is one of revolution.
+    """
+
+    places: np.ndarray
+    areas: np.ndarray
+    normal: np.ndarray
+    axis: np.ndarray
+    axisymmetric: bool
+
+    @property
+    def area(self) -> float:
+        """Surface of the face [m^2]."""
+        return float(self.areas.sum())
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Displaced volumes (motions,)."""
+        return np.asarray(self.areas @ self.normal)
+
+    @property
+    def piston_shares(self) -> np.ndarray:
+        """Ratios (motions,) of mean to rms normal velocity: 1 for a piston."""
+        rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
+        return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
+
+    @cached_property
+    def _plane(self) -> np.ndarray:
+        """Coordinates (2, points) in the plane of the face, about its centre."""
+        centre = self.places @ self.areas / self.area
+        first = np.linalg.svd(self.axis[None])[2][1:]
+        return np.asarray(first @ (self.places - centre[:, None]))
+
+    def far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
+        """Return ``F`` (angles, azimuths, motions) at angles from the axis, by their sines."""
+        if self.axisymmetric:
+            kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
+        else:
+            turn = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+            rows = np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ self._plane
+            kernel = np.exp(1j * wave_number * sines[:, None, None] * rows)
+        return np.asarray(kernel @ (self.areas[:, None] * self.normal))
+
+    def power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
+        """Radiated power (motions,) relative to that of a piston of this radius [m].
+
+        The piston has the same volume velocity; both are in an infinite baffle.
+        """
+        cosines, weights = np.polynomial.legendre.leggauss(POLAR_ANGLES)
+        cosines, weights = (cosines + 1) / 2, weights / 2
+        sines = np.sqrt(1 - cosines**2)
+        field = np.abs(self.far_field(wave_number, sines)) ** 2
+        power = weights @ field.mean(axis=1)
+        x = wave_number * radius * sines
+        piston = weights @ (2 * j1(x) / x) ** 2
+        return np.asarray(power / (piston * self.volumes**2))
+
+    def unbaffled_ratios(self, wave_number: float) -> np.ndarray:
+        """Pressure (motions,) on the axis of a disc without a baffle, relative to that in one.
+
+        The formula of the module holds for a thin body of revolution and small k a.
+        """
+        square = self.area / np.pi - self.places[0] ** 2
+        potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))
+        moment = (self.areas * potential) @ self.normal
+        return np.asarray(wave_number / 2 * np.abs(moment / self.volumes))
+
+
+def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
+    """Sample the motions z (n, motions) of a full model on facets of its surface."""
+    solid = device.solid
+    basis = solid.face(facets, FACE_QUADRATURE)
+    places = np.asarray(basis.global_coordinates())
+    around = 2 * np.pi * places[0] if solid.axisymmetric else 1.0
+    normals = np.asarray(basis.normals)
+    areas = basis.dx * around
+    points = np.arange(areas.size).reshape(areas.shape)
+    operator = sparse.csc_array((areas.size, solid.places.shape[1]))
+    for function, nodes in zip(basis.basis, basis.element_dofs, strict=True):
+        values = np.broadcast_to(np.asarray(function[0]), areas.shape)
+        columns = np.broadcast_to(nodes[:, None], areas.shape)
+        entries = (values.ravel(), (points.ravel(), columns.ravel()))
+        operator = operator + sparse.csc_array(sparse.coo_array(entries, shape=operator.shape))
+    u = device.displacement @ z
+    normal = np.zeros((areas.size, z.shape[1]))
+    for axis, n in enumerate(normals):
+        normal += n.reshape(-1, 1) * (operator @ u[axis :: solid.components])
+    mean = normals.reshape(len(normals), -1) @ areas.ravel()
+    size = np.linalg.norm(mean)
+    return FaceMotion(
+        places.reshape(len(places), -1),
+        areas.ravel(),
+        normal,
+        mean / size if size else np.eye(len(mean))[-1],
+        solid.axisymmetric,
+    )

@@ -1,0 +1,143 @@
+"""Bodies whose faces radiate sound: warnings, neglected effects and the error of their level."""
+
+from __future__ import annotations
+
+import warnings
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from kc2spice.core.cache import load_or_build
+from kc2spice.core.domains import ACOUSTIC
+from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.acoustics.radiation import FACE, RadiationKeys
+from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.bodies._linear_keys import FieldKeysT
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.scene.checks import Metric
+from kc2spice.scene.model import Build, GovernedScene, Part, Scene
+from kc2spice.scene.rows import Neglected
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.undamped import FiniteElementModel
+    from kc2spice.parts.bodies._face_levels import FaceLevels, FaceOfBody
+
+LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
+
+
+class SoundingBody(LinearBody[FieldKeysT]):
+    """A body on a mesh whose faces parts of type ``radiation`` represent by pistons."""
+
+    @abstractmethod
+    def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
+        """The full model with its mesh."""
+
+    def support_diameter(self, part: Part[FieldKeysT], node: float | None) -> float | None:
+        """Return the diameter [m] of a ring that supports the body, None without one.
+
+        A free body has the diameter ``node`` of the circle without motion.
+        """
+        return None
+
+    def device_on_ring(
+        self, part: Part[FieldKeysT], scene: GovernedScene, diameter: float
+    ) -> FiniteElementModel:
+        """Return the full model on a ring of this diameter [m]."""
+        raise NotImplementedError
+
+    def radiations(
+        self, part: Part[FieldKeysT], scene: Scene
+    ) -> dict[str, tuple[str, RadiationKeys]]:
+        """Return name and keys of the radiation of each face, by the name of its port."""
+        result = {}
+        for port in self.used_ports(part, scene):
+            if port.domain is not ACOUSTIC:
+                continue
+            for name, pin in scene.joined(part.name, port.terminals[0]):
+                keys = scene.parts[name].keys
+                if pin == FACE and isinstance(keys, RadiationKeys):
+                    result[port.name] = name, keys
+        return result
+
+    def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
+        """Return the differences of each radiating face from a piston, by the name of its port."""
+        result = {}
+        for port, (_, keys) in self.radiations(part, scene).items():
+            levels = self._load_levels(part, scene, port, keys)
+            if levels is not None:
+                result[port] = levels
+        return result
+
+    def _load_levels(
+        self, part: Part[FieldKeysT], scene: Scene, port: str, keys: RadiationKeys
+    ) -> FaceLevels | None:
+        from kc2spice.parts.bodies._face_levels import FaceLevels, FaceOfBody
+
+        end = float(self.reduction(part, scene).band[1])
+        radiation = keys.model_dump(mode="json")
+        key: dict[str, Any] = {"full": self.full_key(part, scene), "port": port, "end": end}
+        key |= {"radiation": radiation}
+
+        def build() -> FaceLevels | None:
+            face = FaceOfBody(self.device(part, scene), port, keys, end)
+            return self._estimate_levels(part, scene, face)
+
+        sources = (*LEVEL_SOURCES, __name__)
+        return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
+
+    def _estimate_levels(
+        self, part: Part[FieldKeysT], scene: Scene, face: FaceOfBody
+    ) -> FaceLevels | None:
+        """Compare a face with a piston, also on rings of other diameters."""
+        from dataclasses import replace
+
+        from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels, level_near
+
+        result = estimate_face_levels(face)
+        if result is None:
+            return None
+        diameter = self.support_diameter(part, result.node)
+        if diameter is None:
+            return result
+        level, others = level_near(face, result.resonance), []
+        for change in (-TOLERANCE, TOLERANCE):
+            device = self.device_on_ring(part, scene, diameter * (1 + change))
+            others.append(level_near(replace(face, device=device), result.resonance) - level)
+        return replace(result, ring=diameter, support=tuple(others))
+
+    def build(
+        self, part: Part[FieldKeysT], scene: Scene, clock: Clock, full: bool = False
+    ) -> LinearModel | None:
+        """Build the model, and warn of faces that do not move like a piston."""
+        from kc2spice.parts.bodies._face_levels import describe_piston_difference
+
+        result = super().build(part, scene, clock, full)
+        radiations = {} if full else self.radiations(part, scene)
+        if radiations:
+            for port, levels in self.face_levels(part, scene).items():
+                name = f"{part.name}.{port}"
+                if text := describe_piston_difference(name, radiations[port][0], levels):
+                    warnings.warn(text, stacklevel=2)
+        return result
+
+    def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        if not self.radiations(part, scene):
+            return
+        from kc2spice.parts.bodies._face_levels import list_level_effects
+
+        effects: dict[Neglected, None] = {}
+        for port, levels in self.face_levels(part, scene).items():
+            effects |= dict.fromkeys(list_level_effects(part.name, port, levels))
+        yield from effects
+
+    def metrics(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
+        result = super().metrics(part, build, waves)
+        if not self.radiations(part, build.scene):
+            return result
+        totals = [levels.total for levels in self.face_levels(part, build.scene).values()]
+        error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}
+        return {**error, **result}

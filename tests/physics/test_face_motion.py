@@ -1,0 +1,166 @@
+"""Faces that do not move like pistons: closed forms of the sound of other shapes."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import jv
+from support import (
+    Block,
+    BondedBlocks,
+    FaceMotion,
+    compute_lowest_modes,
+    find_node_diameter,
+    material,
+    outer_faces,
+    sample_face_motion,
+)
+
+import kc2spice as kc
+
+RADIUS = 10e-3
+POINTS = 60  # Gauss points over the radius
+
+
+def circular_face(shape):
+    """Face of revolution whose displacement is ``shape(r / a)``."""
+    x, w = np.polynomial.legendre.leggauss(POINTS)
+    s, w = (x + 1) / 2, w / 2
+    places = np.stack([RADIUS * s, np.zeros(POINTS)])
+    areas = 2 * math.pi * RADIUS**2 * s * w
+    return FaceMotion(places, areas, shape(s)[:, None], np.array([0.0, 1.0]), axisymmetric=True)
+
+
+def spread(face, turns=64):
+    """Return the same face in space, at equal angles about its axis."""
+    angle = 2 * np.pi * np.arange(turns) / turns
+    r = np.repeat(face.places[0], turns)
+    phi = np.tile(angle, face.areas.size)
+    places = np.stack([r * np.cos(phi), r * np.sin(phi), np.zeros(r.size)])
+    areas = np.repeat(face.areas / turns, turns)
+    normal = np.repeat(face.normal, turns, axis=0)
+    return FaceMotion(places, areas, normal, np.array([0.0, 0.0, 1.0]), axisymmetric=False)
+
+
+PISTON = circular_face(np.ones_like)
+PLATE = circular_face(lambda s: (1 - s**2) ** 2)  # clamped, under a constant pressure
+
+
+def power_of(amplitude, ka):
+    """Integral over a half-space of the squared far field relative to the axis."""
+    return quad(lambda t: amplitude(ka * math.sin(t)) ** 2 * math.sin(t), 0, math.pi / 2)[0]
+
+
+def test_a_piston_has_the_power_of_a_piston():
+    for face in (PISTON, spread(PISTON)):
+        assert face.area == pytest.approx(math.pi * RADIUS**2, rel=1e-9)
+        assert face.piston_shares == pytest.approx([1.0], rel=1e-9)
+        for ka in (0.1, 1.0, 5.0):
+            assert face.power_ratios(ka / RADIUS, RADIUS) == pytest.approx([1.0], rel=1e-6)
+
+
+@pytest.mark.parametrize("ka", [0.01, 1.0, 3.0, 8.0])
+def test_the_power_of_a_clamped_plate_is_that_of_its_closed_form(ka):
+    """Int (1 - s^2)^2 J0(x s) s ds = 8 J3(x) / x^3 (Sonine's integral), 1/6 at x = 0."""
+    plate = power_of(lambda x: 48 * jv(3, x) / x**3 if x else 1.0, ka)
+    piston = power_of(lambda x: 2 * jv(1, x) / x if x else 1.0, ka)
+    assert piston > 0
+    for face in (PLATE, spread(PLATE)):
+        ratio = face.power_ratios(ka / RADIUS, RADIUS)
+        assert ratio == pytest.approx([plate / piston], rel=1e-5)
+        # mean 1/3, rms 1/5^0.5
+        assert face.piston_shares == pytest.approx([math.sqrt(5) / 3], rel=1e-6)
+
+
+def test_the_sound_of_a_disc_without_a_baffle_is_that_of_a_dipole():
+    """A rigid disc has the force of the added mass 8 rho a^3 / 3, whose pressure on the axis is
+    k F / (4 pi r); in a baffle, omega rho U / (2 pi r)."""
+    k = 0.1 / RADIUS
+    force = 8 / 3 * RADIUS**3  # relative to rho times the acceleration
+    assert PISTON.unbaffled_ratios(k) == pytest.approx(
+        [k * force / 2 / (math.pi * RADIUS**2)], rel=1e-4
+    )
+    # int (1 - s^2)^2.5 2 pi s ds = 2 pi / 7, beside pi / 3 of the volume
+    assert PLATE.unbaffled_ratios(k) == pytest.approx([0.1 * 12 / (7 * math.pi)], rel=1e-5)
+
+
+def test_a_free_plate_has_its_node_at_the_place_of_the_closed_form():
+    """A. W. Leissa, Vibration of Plates (1969), table 2.6: 0.680 of the radius for nu = 0.33."""
+    metal = material("aluminium", "plate")
+    box = ((0.0, RADIUS), (0.0, 0.1e-3))
+    plate = BondedBlocks(
+        [Block(box, metal)],
+        faces=outer_faces(box),
+        ports={"centre": ((0.0, RADIUS / 20), (0.1e-3, 0.1e-3))},
+        size=RADIUS / 20,
+    )
+    device = plate.device()
+    _, z = compute_lowest_modes(device, 1, np.inf)
+    motion = sample_face_motion(device, device.faces["front_face"], z)
+    assert find_node_diameter(motion, 0) == pytest.approx(2 * 0.680 * RADIUS, rel=5e-3)
+    # the port of the face yields the opposite of the volume that the face displaces
+    (face,) = (k for k, port in enumerate(device.model.ports) if port.name == "front_face")
+    volume = device.model.B[:, face] @ z
+    assert -volume == pytest.approx(motion.volumes, abs=1e-9 * np.abs(z).max() * motion.area)
+    assert motion.piston_shares[0] < 0.01  # its momentum is zero
+
+
+SCENE = {
+    "disc": {
+        "part": "disc",
+        "layers": [
+            {"material": "brass", "diameter": 20e-3, "thickness": 0.2e-3},
+            {"material": "PZT-5A", "diameter": 14e-3, "thickness": 0.22e-3, "electrodes": 12.8e-3},
+        ],
+        "damping": {"quality": 50},
+        "pins": {"anode": "drive.out"},
+    },
+    "front": {"part": "radiation", "radius": 10e-3, "pins": {"face": "disc.front_face"}},
+    "listener": {"part": "listener", "distance": 0.1},
+    "drive": {"part": "source", "ac": 1.0},
+    "analysis": {"type": "ac", "start": 2e3, "stop": 8e3, "points": 300},
+}
+
+
+def effects_of(result):
+    rows = result.record["plan"]["left_out"]
+    return {row["effect"].removeprefix("disc: "): row["error"] for row in rows}
+
+
+@pytest.mark.slow
+def test_a_run_states_the_effects_of_assumptions_on_its_level():
+    with pytest.warns(UserWarning, match=r"disc.front_face does not move like the piston front"):
+        free = kc.run(SCENE)
+    effects = effects_of(free)
+    assert effects["Q factor"] == "-6.0 dB at half of it"
+    level, hertz = (free.metrics[key] for key in ("level_db", "listener.frequency_hz"))
+    top = int(np.argmax(level))
+    # beside the resonance: (1 + (2 Q 1 %)^2)^0.5 is 3.0 dB
+    beside = np.interp(0.99 * hertz[top], hertz, level) - level[top]
+    assert float(effects["resonance"].split()[0]) == pytest.approx(beside, abs=0.3)
+    parts = [float(effects[name].split()[0]) for name in ("motion of front_face", "resonance")]
+    ring = max(abs(float(text)) for text in effects["support"].split(" dB")[0].split(","))
+    total = math.hypot(*parts, ring, 20 * math.log10(2))
+    assert free.metrics["level_error_db"] == pytest.approx(total, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_ring_changes_the_level_by_what_a_run_states():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        results = {
+            d: kc.run(SCENE, overrides={"disc.support": {"node": d}}) for d in (12.6e-3, 12.726e-3)
+        }
+    levels = [result.metrics["peak_level_db"] for result in results.values()]
+    stated = effects_of(results[12.6e-3])["support"].split(" dB")[0].split(",")[1]
+    assert levels[1] - levels[0] == pytest.approx(float(stated), abs=0.1)
+    assert abs(levels[1] - levels[0]) > 0.5
+
+
+def test_a_disc_on_its_rim_is_close_to_a_piston():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = kc.run({**SCENE, "disc": {**SCENE["disc"], "support": "simply_supported"}})
+    assert effects_of(result)["motion of front_face"].startswith("+0.1 dB")
