@@ -51,7 +51,7 @@ def test_record_has_the_contracts_shape(bench):
         assert (out / file).stat().st_size > 500
 
 
-def test_errors_fall_where_they_must(bench):
+def test_errors_decrease_with_finer_settings(bench):
     record, _ = bench
     loop, harmonic = points(record, "loop"), points(record, "harmonic")
     assert 0 < loop["trap, reltol 0.0001"]["error"] < loop["trap, reltol 0.001"]["error"]

@@ -69,7 +69,7 @@ def peak(waves, node):
     return max(y.max(), y[1] - slope**2 / (4 * bend))
 
 
-def test_a_wrong_sheet_is_seen(deck_of, kicad, run, tmp_path):
+def test_a_wrong_sheet_is_detected(deck_of, kicad, run, tmp_path):
     sheet = project(deck_of("impact"), tmp_path)
     text = (tmp_path / sheet).read_text()
     first_wire = re.search(r"\n  \(wire [^\n]*", text)[0]

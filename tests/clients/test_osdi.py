@@ -27,7 +27,7 @@ def shortened(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, tmp_path):
+def test_compiled_modules_have_the_results_of_the_netlists(name, deck_of, program, run, tmp_path):
     compiler, simulator = program("openvaf-r"), program("ngspice", own=True)
     deck = deck_of(name, **shortened(name))
     if deck.command.kind == "noise":

@@ -20,7 +20,7 @@ def run(*words):
     return CliRunner().invoke(app, ["reduce", *map(str, words)])
 
 
-def test_a_name_stands_for_the_one_file_that_holds_its_matrices(tmp_path):
+def test_a_name_finds_the_only_file_with_its_matrices(tmp_path):
     np.savez(tmp_path / "rod.npz", **chain(10))
     (tmp_path / "rod.toml").write_text("band = [0, 500]\n")
     done = run(tmp_path / "rod", "--json", "--out", tmp_path / "out")

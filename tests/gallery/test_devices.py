@@ -91,7 +91,7 @@ def test_cases_with_complete_inputs_meet_their_targets(name, results):
     assert all(within(name, quantity, metrics[quantity]) for quantity in compared)
 
 
-def test_most_rows_meet_their_target_and_the_others_say_why():
+def test_most_rows_are_within_their_tolerance_and_others_state_the_reason():
     """Of the page as it is: 85 % inside, five measured and 25 sources read, no miss unexplained."""
     page = (ROOT / "docs" / "evidence" / "devices.md").read_text("utf-8")
     lines = [line for line in page.split("\n## ")[0].splitlines() if line.startswith("| `")]
@@ -106,7 +106,7 @@ def test_most_rows_meet_their_target_and_the_others_say_why():
     assert sum("measured" in row[2] and row[0].strip("`") in read for row in rows) >= 5
 
 
-def test_new_buzzer_is_a_short_file_and_shows_what_an_analyser_shows(tmp_path, results):
+def test_a_new_buzzer_is_a_short_file_and_has_the_values_of_an_analyser(tmp_path, results):
     """Murata 7BB-20-6: 6.3 kHz, 10 nF (catalogue P37E)."""
     path = tmp_path / "mine.toml"
     path.write_text(BUZZER, "utf-8")
@@ -255,7 +255,7 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     assert pins == ["anode", "cathode", "tip", "base", "ground"]
 
 
-def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
+def test_refining_the_mesh_axis_changes_the_model():
     (axis,) = (
         a
         for a in find_axes(Build(load_scene("buzzer_7bb_20_6"), {}))

@@ -27,7 +27,7 @@ NGSPICE_ALONE = ("mosfet_sink",)
         for name in sorted(list_gallery())
     ],
 )
-def test_every_scene_speaks_every_dialect(scene):
+def test_every_scene_has_every_dialect(scene):
     deck = kc.deck(scene)
     alone = scene in NGSPICE_ALONE
     if deck.command.kind == "noise" or alone:

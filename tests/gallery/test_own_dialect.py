@@ -26,7 +26,7 @@ def package(tmp_path_factory):
     return folder
 
 
-def test_the_page_prints_what_it_states(tmp_path):
+def test_the_blocks_of_the_page_print_their_documented_output(tmp_path):
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     (output,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
     (tmp_path / "trial.py").write_text("\n".join(blocks), encoding="utf-8")

@@ -38,7 +38,7 @@ def test_the_file_and_its_closed_form_run(package):
 
 
 @pytest.mark.slow
-def test_the_commands_know_the_installed_part(package):
+def test_the_commands_find_the_installed_part(package):
     commands = [shlex.split(line)[1:] for line in "".join(blocks("sh")).splitlines()]
     typed(package, commands, path=[package])
     assert (package / "xyce" / "solenoid.lib").is_file()

@@ -219,7 +219,7 @@ def test_the_value_under_the_pointer_is_that_of_the_curve(browser, tmp_path):
         assert rise == pytest.approx(at, abs=0.01)  # its next point that the page contains
 
 
-def test_a_way_back_is_a_curve_of_its_own(browser, tmp_path):
+def test_a_return_sweep_is_a_separate_curve(browser, tmp_path):
     x = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
     y = np.array([0.0, 1.0, 2.0, 9.0, 8.0, 7.0, 6.0])
     sheet = sheet_of(browser, tmp_path, Panel("voltage in V", "gap in um", (Curve("gap", x, y),)))

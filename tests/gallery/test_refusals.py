@@ -37,7 +37,7 @@ def test_a_part_of_two_ends_lies_between_two_nets(parts):
 
 
 @pytest.mark.parametrize("kind", ["transient", "ac", "op"])
-def test_a_sweep_stands_beside_dc_alone(kind):
+def test_only_dc_analyses_accept_a_sweep(kind):
     analysis = {"type": kind, "sweep": "drive.dc"} | {
         "transient": {"stop": 1e-3}, "ac": {"start": 1.0, "stop": 2.0}, "op": {},
     }[kind]  # fmt: skip
@@ -61,7 +61,7 @@ def test_a_number_in_a_unit_is_not_a_unit(text):
         {"solver": {"max_step": 0.9e-10}},
     ],
 )
-def test_more_than_ten_million_points_are_told_before_the_run(keys):
+def test_more_than_ten_million_points_print_a_warning_before_the_run(keys):
     with pytest.raises(UsageError, match="too many time points") as caught:
         kc.load_scene(changed(**keys))
     assert "1e+07" in str(caught.value)

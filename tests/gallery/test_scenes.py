@@ -40,7 +40,7 @@ SCENES = [
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_scene_runs_and_leaves_what_it_promises(name, results):
+def test_a_scene_runs_and_writes_its_documented_files(name, results):
     result, out = results(name)
     assert result.keys() >= CONTRACT
     assert result["scene"] == name
@@ -65,7 +65,7 @@ def test_kick_and_catch_catches(results):
     assert metrics["launch_velocity_m_s"] == pytest.approx(1.021, rel=2e-3)
 
 
-def test_kick_and_catch_tells_its_models(results):
+def test_explain_lists_the_models_of_kick_and_catch(results):
     model = results("kick_and_catch")[0]["model"]
     kick, catch = model["kick"], model["catch"]
     assert kick["unknowns"] == 16722
@@ -79,7 +79,7 @@ def test_kick_and_catch_tells_its_models(results):
     assert catch["coil_resistance_ohm"] == pytest.approx(1596, rel=1e-3)
 
 
-def test_emitted_deck_runs_as_it_stands(results, tmp_path):
+def test_an_emitted_deck_runs_without_changes(results, tmp_path):
     _, out = results("impact")
     run = subprocess.run(
         ["ngspice", "-b", "-n", "-r", str(tmp_path / "own.raw"), "impact.cir"],

@@ -53,14 +53,14 @@ def test_a_cathode_that_is_grounded_by_name_and_a_part_of_the_drives_name():
     ],
     ids=["something is joined", "a source without ac", "grounded", "two bodies", "no body"],
 )  # fmt: skip
-def test_what_it_cannot_know_is_refused_before_a_run(parts):
+def test_keys_with_unknown_requirements_are_rejected_before_a_run(parts):
     with pytest.raises(UsageError, match="the ac analysis has no source") as caught:
         kc.deck(BODY | parts)
     assert "analysis" in str(caught.value)
     assert 'ac = "1 V"' in str(caught.value)
 
 
-def test_a_source_in_a_netlist_of_ones_own_drives(tmp_path, monkeypatch):
+def test_a_source_in_a_user_netlist_drives_the_scene(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text, driven in (("V1 out ref DC 0 AC 1", True), ("V1 out ref 1", False)):
         (tmp_path / "own.lib").write_text(f".subckt own out ref\n{text}\n.ends\n")

@@ -34,7 +34,7 @@ def test_published_harvester():
     assert coupling[1] == pytest.approx(coupling[0], rel=0.1)
 
 
-def test_two_layers_bend_as_laminate_theory_with_an_inner_field_says():
+def test_bending_of_two_layers_follows_laminate_theory_with_an_inner_field():
     """Two opposed layers of thickness t in plane stress: strains around each layer's own middle
     (a quarter of the bending stiffness) move the field inside the layer at constant D, while its
     mean is given by the voltage: ``Q = 3/4 Q(E) + 1/4 Q(D)``, moments ``d31 E t^2 Q(E) [1, 1]``.

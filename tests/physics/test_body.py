@@ -368,7 +368,7 @@ def test_solids_hinged_at_an_edge_have_no_resonance_there(tmp_path):
         ({"ratio": [0.02, 0.015], "at": [1e3, 1.5e3]}, lambda f: 18 / f + 2e-6 * f),
     ],
 )  # fmt: skip
-def test_modes_have_the_damping_that_is_asked_for(coarse, damping, wanted):
+def test_modes_have_the_specified_damping(coarse, damping, wanted):
     """Ratios of the eigenvectors of the undamped body, ``phi' E phi / (2 omega)``."""
     ports = [{"name": "tip", "group": "end", "axis": "z"}]
     plain = {"materials": {"layer0": "steel", "layer1": "steel"}, "poling": {}, "electrodes": {}}

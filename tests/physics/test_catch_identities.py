@@ -10,7 +10,7 @@ from support import magnet_field as magmesh
 RADIUS = 1e-3
 
 
-def test_polarity_turns_the_ring_and_nothing_else() -> None:
+def test_polarity_reverses_only_the_ring_magnet() -> None:
     span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
     table, turned = (
         compute_catch_table(Catch(polarity=way, **span), RADIUS)

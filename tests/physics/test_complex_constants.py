@@ -138,7 +138,7 @@ def test_keys_of_viscous_damping_are_refused(other):
         kc.load_scene({**DISC, "disc": {**DISC["disc"], "damping": {"model": "ieee176", **other}}})
 
 
-def test_what_has_no_complex_constants_says_so():
+def test_a_body_without_complex_constants_is_an_error():
     scene = kc.load_scene(DISC)
     with pytest.warns(UserWarning, match="ieee176: matrices cannot contain a loss"):
         kc.build(scene)

@@ -117,12 +117,12 @@ def test_a_tangent_that_the_clamped_body_cannot_have_is_refused():
         kc.run({**DISC, "disc": {**DISC["disc"], "damping": {"loss_tangent": 1.0}}})
 
 
-def test_a_full_model_says_that_it_has_no_loss():
+def test_a_full_model_without_loss_prints_a_note():
     with pytest.warns(UserWarning, match="loss_tangent: 0.02: .* neglects it"):
         kc.build(kc.load_scene(BUZZER, {"disc.damping.loss_tangent": TANGENT}))
 
 
-def test_ngspice_gives_what_the_lossy_model_says(models):
+def test_ngspice_has_the_response_of_the_lossy_model(models):
     model = models[1].select(["anode"])
     deck = first_deck(model, kc.subcircuit(model, "lossy"))
     low, high = 1e3, model.certificate.band_hz[1]
@@ -132,7 +132,7 @@ def test_ngspice_gives_what_the_lossy_model_says(models):
     assert np.abs(waves["anode.current"] / Y - 1).max() < 1e-6
 
 
-def test_a_fit_tells_losses_of_the_dielectric_from_those_of_the_motion():
+def test_a_fit_separates_dielectric_from_mechanical_losses():
     true = {"damping.quality": 60.0, "damping.loss_tangent": 0.031}
     f, draw = np.linspace(2e3, 9e3, 150), np.random.default_rng(5).normal(size=(2, 150))
     scene = kc.load_scene(BUZZER, {"disc.damping.quality": 60.0})
@@ -149,7 +149,7 @@ def test_a_fit_tells_losses_of_the_dielectric_from_those_of_the_motion():
         assert abs(row["value"] - value) < 3 * row["sigma"] < 0.1 * value
 
 
-def test_what_has_no_loss_of_its_dielectric_says_so():
+def test_a_body_without_dielectric_loss_is_an_error():
     lossy = {"disc.damping.loss_tangent": 0.02}
     box = {"disc.rom.parameters": {"damping.quality": [20.0, 90.0]}}
     with pytest.raises(UsageError, match="cannot contain a dielectric loss"):

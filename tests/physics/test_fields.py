@@ -144,7 +144,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
     (lambda: chip(mounting="glued", bottom_cap={"thickness": 1e-4}), "ring2", 4),
     (lambda: chip(preload_spring=1, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
 ])  # fmt: skip
-def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, symmetric):
+def test_every_section_of_a_pressed_body_carries_the_total_force(device, port, symmetric):
     """Statics: the axial stress over any cross-section is the force on the end."""
     device, force = device(), -50.0
     motion = recover_motion(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
@@ -188,7 +188,7 @@ def test_motion_is_that_of_the_full_model():
     assert (np.abs(outputs(found) - y).max(axis=0) < 2e-3 * np.abs(y).max(axis=0)).all()
 
 
-def test_free_body_falls_as_newton_says():
+def test_a_free_body_falls_by_newtons_law():
     solid = plate(MeshHex, material("steel"))
     fixed = np.zeros(3 * solid.basis(1).N, bool)
     everywhere = spread_force(
@@ -221,7 +221,7 @@ def test_largest_principal_stress_is_the_largest_eigenvalue():
 @pytest.mark.parametrize(("kind", "cell"), [
     (MeshTet, "tetra10"), (MeshHex, "hexahedron27"), (MeshTri, "triangle6"), (MeshQuad, "quad9"),
 ])  # fmt: skip
-def test_file_holds_what_another_reader_finds(tmp_path, kind, cell):
+def test_another_reader_reads_the_same_file_content(tmp_path, kind, cell):
     if kind in (MeshTri, MeshQuad):
         flat = kind.init_tensor(np.linspace(0, 2e-3, 3), np.linspace(0, 0.5e-3, 2))
         mesh = MeshTri2.from_mesh(flat) if kind is MeshTri else flat

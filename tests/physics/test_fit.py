@@ -74,7 +74,7 @@ def test_a_fit_finds_the_values_that_made_the_data():
     assert found["caution"] is None
 
 
-def test_damping_at_two_frequencies_takes_no_finite_elements():
+def test_damping_at_two_frequencies_is_checked_without_finite_elements():
     """Rayleigh's two coefficients by three resonances: the model of the start and of the end."""
     start = {"disc.damping": {"ratio": [0.01, 0.03], "at": [3e3, 30e3]}}
     scene = kc.load_scene(BUZZER, start)
@@ -200,7 +200,7 @@ def test_campaign_of_parts():
 
 
 @pytest.mark.slow  # seconds
-def test_keys_that_the_data_cannot_tell_apart_are_named():
+def test_keys_that_the_data_do_not_distinguish_are_listed():
     """Far below any resonance there is a capacitance alone: area over thickness."""
     data = measured(BUZZER, "disc", {}, (300.0, 600.0), 0.03, 4)
     keys = ("layers[1].thickness", "layers[1].electrodes=11e-3:13.5e-3")

@@ -655,7 +655,7 @@ def test_fields_that_a_run_cannot_have_are_refused(changes, words):
     assert error.value.where == "scene, key wall.fields"
 
 
-def test_a_point_lies_in_the_quadrilateral_that_contains_it():
+def test_points_are_found_in_their_quadrilateral():
     """The nearest centre is that of another cell, whose coordinates of the point are outside."""
     mesh = MeshQuad.init_tensor(np.array([0.0, 1.0, 1.2, 1.4]), np.array([0.0, 1.0]))
     solid = HeatSolid(Solid(mesh, (), np.zeros(3, int)), (COPPER,))

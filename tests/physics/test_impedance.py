@@ -19,7 +19,7 @@ def circuit(f, r=R, extra=0.0):
 
 @pytest.mark.parametrize("samples", [40, 150, 1000])
 @pytest.mark.parametrize("quality", [5, 50, 1000])
-def test_the_circuit_is_found_whatever_the_samples(samples, quality):
+def test_the_circuit_does_not_depend_on_the_samples(samples, quality):
     r = np.sqrt(L / C) / quality
     f = np.geomspace(300, 20e3, samples)
     reading = analyse_impedance(f, circuit(f, r))
@@ -44,7 +44,7 @@ def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
     assert analyse_impedance(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
 
 
-def test_higher_modes_and_loss_are_left_to_the_rest():
+def test_higher_modes_and_losses_belong_to_the_residual():
     f = np.geomspace(300, 40e3, 800)
     s = 2j * np.pi * f
     second = 1 / (200 + s * 0.06 + 1 / (s * 0.6e-9))  # at 26.5 kHz

@@ -44,7 +44,7 @@ def balanced(result: Trajectory, share: float) -> bool:
     return abs(energy.residual) < share * energy.turnover
 
 
-def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
+def test_the_ramp_response_of_an_rlc_circuit_is_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble_system(
         [L.IdealSource("v", "voltage", linear_waveform(((0, 0), (edge, 1)))),
@@ -92,7 +92,7 @@ def test_sphere_bounces_on_a_spring_without_loss() -> None:
     assert balanced(result, 1e-8)
 
 
-def test_every_element_tells_what_flows_through_it() -> None:
+def test_every_element_reports_its_flow() -> None:
     """Under a ramp of voltage, or of displacement, each alone."""
     kinds = {"voltage": ["resistor", "capacitor", "inductor"], "displacement": ["spring", "damper"]}
     value, stop, t = 2e-3, 1e-3, np.linspace(0.0, 1e-3, 7)
@@ -178,7 +178,7 @@ def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     np.testing.assert_allclose(waves["one.a.through"], times**2 / 2e-3 / 3e-3, atol=1e-9)
 
 
-def test_what_rings_freely_under_a_falling_ball_is_followed() -> None:
+def test_free_ringing_under_a_falling_ball_is_resolved() -> None:
     """112 periods, with the energy that they lose."""
     edge, stop, ball = 1e-4, 5e-3, 1e-9
     system = assemble_system(

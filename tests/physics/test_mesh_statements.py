@@ -74,7 +74,7 @@ def exported(file):
 
 
 @pytest.mark.slow
-def test_a_reduced_file_states_what_its_model_stated(tmp_path):
+def test_a_reduced_file_contains_the_facts_of_its_model(tmp_path):
     """Matrices alone, and matrices of a body whose mesh has an estimate."""
     model = kc.read_model(chain(tmp_path))
     small = kc.reduce(model, order=4, band=(0.0, 1e3))

@@ -78,7 +78,7 @@ def test_beam_has_the_textbook_frequencies():
     [pytest.param(n, marks=pytest.mark.slow if n not in ("beam", "building") else ())
      for n in FAMILIES],
 )  # fmt: skip
-def test_ngspice_runs_the_emitted_subcircuit_as_asked(name, dense, truth, tmp_path):
+def test_ngspice_runs_the_emitted_subcircuit(name, dense, truth, tmp_path):
     tolerance = 1e-5
     matrices, _, band = built(name)
     rom = reduced(name, tolerance)

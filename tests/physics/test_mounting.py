@@ -66,6 +66,6 @@ def test_other_mountings_are_refused(mounting):
         load_scene("kick_and_catch", {"kick.mounting": mounting})
 
 
-def test_a_chip_that_nothing_holds_is_no_ground_for_a_sphere():
+def test_a_free_chip_does_not_support_a_sphere():
     with pytest.raises(UsageError, match="mounting of the chip is free"):
         load_scene("kick_and_catch", {"kick.mounting": "free"})

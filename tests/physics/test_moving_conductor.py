@@ -63,7 +63,7 @@ def test_currents_in_a_sphere_die_away_as_in_closed_form():
 
 
 @pytest.mark.slow
-def test_a_coil_over_a_plate_sees_the_integral_of_dodd_and_deeds():
+def test_a_coil_over_a_plate_has_the_impedance_of_dodd_and_deeds():
     """C. V. Dodd, W. E. Deeds, J. Appl. Phys. 39 (1968) 2829, of a plate without end; the edge at
     six radii of the coil and 1000 rings change less than 4e-3."""
     coil = Winding(10e-3, 4e-3, 4e-3, 4e-3, 100.0)
@@ -89,7 +89,7 @@ def over_a_plate(coil: Winding, thick: float, hertz: float, conductivity: float)
     return np.pi * MU_0 * (coil.turns / ((outer - inner) * coil.height)) ** 2 * whole
 
 
-def test_currents_in_a_thin_skin_lose_what_dodd_and_deeds_have():
+def test_losses_in_a_thin_skin_equal_those_of_dodd_and_deeds():
     """At 100 kHz, where the skin depth of copper is a fifth of the plate's thickness, the loss
     within 2 %: by the edge at 4 radii of the coil, and by few rings."""
     hertz, copper, coil = 100e3, 5.8e7, Winding(4e-3, 2e-3, 1e-3, -1.5e-3, 50.0)
@@ -158,7 +158,7 @@ def test_small_signals_beyond_the_heights_of_the_table_fail(kind):
         kc.run(tables)
 
 
-def test_rings_too_coarse_for_a_skin_are_seen_by_finer_ones():
+def test_finer_rings_detect_rings_that_are_too_coarse():
     rough = {}
     for count in (20, 200):
         scene = load_scene(over(Winding(5e-3, 2e-3, 2e-3, -2e-3, 50.0), radius=10e-3, rings=count))
@@ -224,7 +224,7 @@ def test_a_ring_is_thrown_and_braked_as_by_its_two_laws(field, mass, top, low):
     assert fallen > low  # without the field -4.4e-3
 
 
-def test_what_a_state_stores_and_pulls_is_one_coenergy():
+def test_energy_and_force_of_a_state_follow_from_one_coenergy():
     """``dE/dy = i' dflux/dy + f`` and ``dE/di = i' dflux/di`` of any state; central differences of
     power series of degree 8 lose 1e-7."""
     part = load_scene("levitated_disc").parts["conductor"]

@@ -60,7 +60,7 @@ def test_far_away_it_is_a_dipole_on_the_axis():
     assert forces(-60e-3, -40e-3, y)[0] == pytest.approx(moment * slope, rel=1e-3)
 
 
-def test_a_magnet_weakens_itself_by_its_shape():
+def test_a_magnet_has_the_demagnetising_factor_of_its_shape():
     """Mean field of charged discs; 0.3116 of a cylinder as tall as wide (D.-X. Chen, J. A. Brug, R.
     B. Goldfarb, IEEE Trans. Magn. 27 (1991) 3601)."""
 

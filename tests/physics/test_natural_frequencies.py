@@ -81,7 +81,7 @@ def test_resonances_are_those_of_the_matrices(free, dashpot):
         np.testing.assert_allclose(2 * np.pi * np.sort(frequency), exact, rtol=1e-5, err_msg=seed)
 
 
-def test_a_response_at_a_pole_says_which():
+def test_a_response_at_a_pole_is_an_error_with_the_frequency():
     K = np.array([[1.0, -1.0], [-1.0, 1.0]])
     with pytest.raises(SimulationError) as caught:
         LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.solver(0.0)

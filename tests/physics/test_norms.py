@@ -42,7 +42,7 @@ def test_the_peak_norm_needs_fewer_states_and_holds(case, most, tolerance):
         assert norm == "pointwise" or stated <= 3 * error + 1e-11
 
 
-def test_the_command_takes_the_norm_of_the_ports_or_the_one_asked_for(tmp_path):
+def test_the_command_uses_the_requested_norm_or_the_norm_of_the_ports(tmp_path):
     rod, _, (_, top) = heat(80)
     np.savez(tmp_path / "rod.npz", A=rod.A, B=rod.B, C=rod.C)
     words = ["reduce", str(tmp_path / "rod.npz"), "--band", "0", str(top), "--json"]

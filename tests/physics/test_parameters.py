@@ -85,7 +85,7 @@ def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
     assert 0.02 * certified < largest < certified  # and the netlist does depend on them
 
 
-def test_a_budget_holds_the_box_against_the_plain_reduction_at_its_value():
+def test_a_budget_compares_parameter_ranges_with_a_plain_reduction():
     """Refined runs need no box, which a tenth of its tolerance could not be certified for."""
     own = {"analysis.points": 40, "error_budget": 0.5, f"disc.{KEY}": 1.15e-4}
     found = kc.run(kc.load_scene(BUZZER, own))
@@ -137,7 +137,7 @@ def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
         assert np.linalg.eigvalsh(K).min() > 0
 
 
-def test_the_error_of_a_box_holds_at_its_corners():
+def test_the_error_estimate_is_valid_at_the_corners_of_the_ranges():
     """A ratio of two parameters changes most between the corners where one is at its low end and
     the other at its high end: there polynomials deviate most."""
     ports = (Port("one", "mechanical"), Port("two", "mechanical"))
@@ -208,7 +208,7 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
         assert np.abs(H / exact - 1).max() < tolerance
 
 
-def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
+def test_mechanical_ports_over_ranges_respond_in_ngspice_like_the_full_model(tmp_path):
     """1 N into the first port, at a value of the parameter that is not the default."""
     full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
     found = reduce_over_ranges(RangeTask(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4))
@@ -260,7 +260,7 @@ def test_matrices_have_no_parameters_and_a_box_no_matrices():
         ({k: [1, 2] for k in "abcde"}, "too many"),
     ],
 )
-def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
+def test_invalid_parameter_ranges_are_errors_before_the_mesh(parameters, word, monkeypatch):
     monkeypatch.setattr("kc2spice.bodies.device.BondedBlocks.device", None)
     with pytest.raises(UsageError, match=word):
         kc.run(kc.load_scene(_with(parameters)))
@@ -387,7 +387,7 @@ def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
         assert np.max(np.abs(made.at(values).transfer(f) / exact - 1)) < 2e-3
 
 
-def test_a_moved_mesh_is_that_of_the_body_itself():
+def test_a_moved_mesh_equals_the_mesh_of_the_body():
     """Sizes that change nothing give the same matrices; others the same answer as their own mesh
     within what meshes are worth."""
     f = np.linspace(2e3, 25e3, 40)

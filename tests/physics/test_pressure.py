@@ -94,7 +94,7 @@ def force(law, depth):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("spacing", "first", "error"), [(10e-6, 2e-6, 2.5e-3), (5e-6, 5e-7, 2e-3)])
-def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
+def test_the_indentation_of_a_sphere_in_steel_follows_hertz(spacing, first, error):
     """From contacts some basis functions wide on: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error 1e-3
     is the body's, which is no half-space, and the sphere's, which is no paraboloid."""
     law = fit_indentation_law(*graded(spacing))
@@ -148,7 +148,7 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=2", "kick.mesh
          "kick.mesh.ring_spacing=100 um", "contact.shape=pressure")  # fmt: skip
 
 
-def test_a_contact_deeper_than_its_law_is_told():
+def test_a_contact_deeper_than_its_law_is_reported():
     """A contact as wide as half the patch of ``a`` is ``a^2 / (4 R)`` deep, by Hertz."""
     scene = load_scene("impact", [*SMALL, "contact.spacing=20 um"])
     contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius

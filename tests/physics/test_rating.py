@@ -34,7 +34,7 @@ def test_ratings_follow_layers_and_materials():
 
 
 @pytest.mark.parametrize(("volts", "passed"), [(121.0, True), (-122.0, False)])
-def test_a_run_beyond_the_rating_is_told(volts, passed):
+def test_a_run_beyond_the_rating_prints_a_warning(volts, passed):
     chip, scene = part_of("kick_and_catch", "kick")
     data = {"time": np.array([0.0, 1.0]), "kick.voltage": np.array([0.0, volts])}
     waves = Waveforms(data, {})
@@ -63,7 +63,7 @@ def test_the_head_states_the_rating():
 
 
 @pytest.mark.parametrize(("top", "passed"), [(5e5, True), (5.1e5, False)])
-def test_a_sweep_beyond_the_certified_band_is_told(top, passed):
+def test_a_sweep_beyond_the_certified_band_prints_a_warning(top, passed):
     chip, scene = part_of("harmonic", "kick")
     certificate = Certificate((0.0, 5e5), 1e-3, "made up", True, True)
     model = replace(MODEL, certificate=certificate)

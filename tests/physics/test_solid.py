@@ -90,7 +90,7 @@ def test_patch_of_anisotropic_piezoelectric(kind):
     assert moved @ (full.M @ moved) == pytest.approx(made_of.density * square, rel=1e-12)
 
 
-def test_cantilever_bends_as_euler_and_bernoulli_say():
+def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
     L, w, h = 0.1, 2e-3, 2e-3
     solid = box((L, w, h), (40, 2, 2), SLENDER)
     tip = ForceShape(

@@ -57,7 +57,7 @@ def roots(g, low, high):
     return [brentq(g, f[i], f[i + 1]) for i in np.flatnonzero(v[1:] * v[:-1] < 0)]
 
 
-def test_the_sphere_swings_as_lamb_says():
+def test_the_sphere_oscillates_at_the_frequency_of_lamb():
     """All axisymmetric modes up to 2.65 MHz, breathing and oblate among them."""
     speed = np.sqrt((LAME + 2 * MU) / DENSITY)
     ratio = (LAME + 2 * MU) / MU / 4
@@ -87,7 +87,7 @@ def dents():
 
 
 @pytest.mark.parametrize("plane", [np.inf, 100e9])
-def test_two_elastic_sides_dent_as_hertz_says(plane):
+def test_the_indentation_of_two_elastic_sides_follows_hertz(plane):
     """``F = 4/3 E* sqrt(R) d^(3/2)`` with ``1/E* = 1/E1* + 1/E2*``, beyond what a sphere adds
     because it is no half-space: far from the contact that is the same for all of the basis."""
     S, shape, own = *dents(), E / (1 - NU**2)

@@ -64,7 +64,7 @@ def test_a_free_stack_of_any_section_has_uniform_strain_and_field(shape, area, l
     assert facts["free_stroke_ring0_m_per_100v"] == pytest.approx(stroke, rel=1e-10)
 
 
-def test_a_spring_on_the_top_face_takes_its_part_of_the_stroke():
+def test_a_spring_on_the_top_face_reduces_the_stroke():
     """Uniform stress T = -k u / A and u = h (s33 T + d33 E)."""
     k, area, height = 5e7, 4e-6, 2e-3
     stroke = stack(side=2e-3, preload_spring=k).facts["free_stroke_ring0_m_per_100v"]
@@ -147,7 +147,7 @@ def test_impossible_stacks_are_refused(keys, says):
         validate(Chip, keys, "stack")
 
 
-def test_a_stack_that_nothing_holds_is_reduced_as_one():
+def test_a_free_stack_is_reduced_as_a_free_body():
     """Rounding gives its stiffness a Cholesky factor; its length mode is that of a free rod."""
     full = stack(
         side=3e-3, depth=2e-3, layers=60, layer_thickness=0.15e-3, mounting="free",

@@ -68,7 +68,7 @@ def test_energy_shows_in_the_form():
         ({"E": HEAVY, "A": -np.diag([1.0] * 5 + [0.0])}, "do not determine"),
     ],
 )
-def test_what_has_no_state_space_is_refused(parts, says):
+def test_models_without_state_space_are_rejected(parts, says):
     with pytest.raises(UsageError, match=says):
         LinearModel(**parts, B=B, C=C).state_space()
 

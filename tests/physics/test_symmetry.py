@@ -76,7 +76,7 @@ def test_entries_that_are_zero_by_symmetry_refuse_no_model(seed):
     assert (np.abs(found) * zero <= (estimate + oracle.ROUNDING) * np.outer(own, own)).all()
 
 
-def test_a_small_entry_that_symmetry_does_not_make_zero_counts_as_it_is():
+def test_a_small_entry_that_is_not_zero_by_symmetry_has_its_own_reference():
     """A coupling of 1e-6 between two chains in other units is no rounding error."""
     n = 20
     K = block_diag(chain(n, 4e6), chain(n, 5e6))

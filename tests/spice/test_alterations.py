@@ -62,7 +62,7 @@ def test_trusted_runs_warn(tmp_path):
     assert np.isfinite(result.metrics["out"])
 
 
-def test_a_deck_alone_fails_too(tmp_path):
+def test_a_deck_without_a_scene_also_fails(tmp_path):
     with pytest.raises(SimulationError, match="ignored or replaced"):
         kc.simulate(kc.deck(scene(tmp_path, PIECEWISE)))
 

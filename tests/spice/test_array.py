@@ -7,7 +7,7 @@ from support import UsageError, load_scene, make_array_deck, run_deck
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])
-def test_copies_do_what_the_scene_does(name, model, table, tmp_path):
+def test_copies_have_the_results_of_the_scene(name, model, table, tmp_path):
     deck = deck_of(load_scene(name), model, table)
     array = make_array_deck(deck, 3)
     alone, together = run_deck(deck, tmp_path / "one"), run_deck(array, tmp_path / "three")

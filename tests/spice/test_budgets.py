@@ -7,7 +7,7 @@ from hard_cases.budgets import COUNT, judged
 @pytest.mark.slow
 @pytest.mark.campaign
 @pytest.mark.parametrize("number", range(COUNT))
-def test_a_budget_is_held_or_the_run_says_that_it_is_not(number):
+def test_a_run_meets_its_error_budget_or_warns(number):
     found = judged(number)
     print(f"BUDGET {found}")
     assert found.outcome != "SILENT"

@@ -132,7 +132,7 @@ def test_a_warm_catch_between_rails_throws_the_sphere_higher():
     assert abs(cold.metrics["final_error_m"]) < 1e-6
 
 
-def test_the_paper_s_loop_with_ideal_currents_needs_more_voltage_alone():
+def test_ideal_currents_in_the_loop_of_the_paper_only_need_more_voltage():
     """An ideal current source keeps the loop; the copper takes up nearly all heat."""
     cold = kc.load_scene("kick_and_catch")
     copper = {"part": "thermal_capacitor", "capacity": "0.1556 J/K"}

@@ -57,14 +57,14 @@ def test_good_run_passes(waves, scene, table, model):
     assert value["energy of contact"] < 1e-4
 
 
-def test_energy_from_nowhere_is_seen(waves, scene, table, model):
+def test_energy_without_a_source_is_detected(waves, scene, table, model):
     faster = waves["sphere.v"] + np.linspace(0, 0.05, waves["time"].size)
     assert "energy of sphere" in violated(
         changed(waves, **{"sphere.v": faster}), scene, table, model
     )
 
 
-def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
+def test_energy_gained_in_the_contact_is_detected(waves, scene, table, model):
     """Contact that lets go later than it took hold does work; here by 100 nm."""
     y = waves["sphere.y"]
     moving = 1e-7 * (np.gradient(waves["kick.u.ring0"] - y, waves["time"]) < 0)
@@ -72,14 +72,14 @@ def test_energy_gained_in_the_contact_is_seen(waves, scene, table, model):
     assert "energy of contact" in found
 
 
-def test_a_current_that_does_not_fit_the_chip_is_seen(waves, scene, table, model):
+def test_a_wrong_current_into_the_chip_is_detected(waves, scene, table, model):
     more = changed(waves, **{"kick.current": 1.3 * waves["kick.current"]})
     assert violated(more, scene, table, model) == [
         "steps of kick against its exact answer", "energy of kick",
     ]  # fmt: skip
 
 
-def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, model):
+def test_ringing_without_a_cause_in_the_forces_is_reported(waves, scene, table, model):
     """A chip in contact moves as its exact answer to voltage and forces; beside it a warning."""
     wrong = changed(waves, **{"kick.u.ring0": 1.05 * waves["kick.u.ring0"]})
     check = next(c for c in judged(wrong, scene, table, model).checks
@@ -89,20 +89,20 @@ def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, mod
     assert check.value == pytest.approx(0.05, rel=0.1)
 
 
-def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
+def test_contact_beyond_the_last_ring_is_detected(waves, scene, table, model):
     wide = changed(waves, **{"contact.force.ring5": np.full_like(waves["time"], 0.1)})
     with pytest.raises(SimulationError, match="outer ring"):
         require_passed(judged(wide, scene, table, model).checks, "here")
 
 
-def test_a_controller_at_its_limit_is_seen(waves, varied, table, model):
+def test_a_controller_at_its_limit_is_reported(waves, varied, table, model):
     weak = varied(**{"control.current_limit": 1e-6, "control.enable_at": 0.0})
     always = changed(waves, **{"coil.upper.current": np.full_like(waves["time"], 1e-6)})
     assert "saturation" in violated(always, weak, table, model)
 
 
 @pytest.mark.parametrize(("action", "fails"), [("fail", True), ("warn", False), ("off", False)])
-def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, model):
+def test_a_key_selects_the_action_on_a_violation(action, fails, waves, varied, table, model):
     free = varied(**{"checks.energy": action})
     bad = changed(waves, **{"kick.current": 2 * waves["kick.current"]})
     checks = judged(bad, free, table, model).checks
@@ -111,7 +111,7 @@ def test_a_key_says_what_a_violation_does(action, fails, waves, varied, table, m
 
 
 @pytest.mark.parametrize("kept", [1, 2, 3])
-def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, varied, table, model):
+def test_a_missing_ring_that_would_close_is_detected(kept, waves, varied, table, model):
     """The same waveforms, as a run without the outer rings would leave them; ring1 closes."""
     fewer = varied(**{"contact.rings": kept})
     closed = [waves[f"contact.force.ring{k}"].max() > 0 for k in range(6)]

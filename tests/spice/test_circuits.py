@@ -100,7 +100,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_a_source_does_what_its_keys_say(name, tmp_path):
+def test_a_source_follows_its_keys(name, tmp_path):
     keys, law = SHAPES[name]
     tables = rlc(keys, {"stop": 100e-6}, solver={"max_step": 0.5e-6})
     waves, _ = run(tables, tmp_path)
@@ -172,7 +172,7 @@ def test_every_take_of_a_probe(tmp_path):
 
 
 @pytest.mark.parametrize("ends", [(1.0, 5.0), (5.0, 1.0)])
-def test_probes_take_the_same_of_a_sweep_in_either_direction(ends, tmp_path):
+def test_probes_do_not_depend_on_the_direction_of_a_sweep(ends, tmp_path):
     """Of v / 10 from 1 V to 5 V: mean 0.3 A, mean square (0.5^3 - 0.1^3) / (3 0.4) A^2."""
     probes = {take: {"of": "ohm.i", "take": take} for take in ("mean", "rms", "max", "min")}
     probes |= {"at_2v": {"of": "ohm.i", "at": 2.0}}
@@ -214,7 +214,7 @@ def test_cycles_over_a_falling_scale_have_the_same_rate():
     assert mean_frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
 
 
-def test_where_a_response_peaks_and_what_it_is_at_a_frequency():
+def test_place_of_a_peak_and_value_at_a_frequency():
     """Of 1 / (1 - r^2 + 2j zeta r) in closed form."""
     probes = {"peak_at": {"of": "cap.v", "take": "argmax"}, "there": {"of": "cap.v", "at": "3 kHz"},
               "half": {"of": "cap.i", "at": 3e3}}  # fmt: skip
@@ -232,7 +232,7 @@ def test_where_a_response_peaks_and_what_it_is_at_a_frequency():
     assert result.record["metric_units"] == {"peak_at": "Hz", "there": "V", "half": "A"}
 
 
-def test_a_probe_of_nothing_names_what_there_is(tmp_path):
+def test_a_probe_of_an_unknown_result_lists_existing_results(tmp_path):
     probes = {"top": {"of": "cap.volt", "take": "max"}}
     with pytest.raises(UsageError, match=r"(?s)probes\.top\.of.*cap\.v"):
         run(rlc({"dc": 1.0}, {"stop": 1e-4}, probes=probes), tmp_path)

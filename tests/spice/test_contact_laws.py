@@ -61,7 +61,7 @@ def block(force, until, stop):
     })  # fmt: skip
 
 
-def test_a_pushed_block_slides_as_far_as_coulomb_says(tmp_path):
+def test_a_pushed_block_slides_by_the_distance_of_coulomb_friction(tmp_path):
     """``x = a T^2 / 2 + (a T)^2 / (2 mu g)`` with ``a = F / m - mu g``."""
     waves, exact, failed = both(block(0.1, 5e-3, 30e-3), tmp_path)
     drag = 0.3 * 9.81
@@ -92,7 +92,7 @@ def test_newtons_cradle_against_plain_equations(tmp_path):
     np.testing.assert_allclose(speeds[:, -1], plain.y[5:, -1], atol=1e-4)
 
 
-def test_hertz_asks_for_what_it_cannot_know():
+def test_a_hertz_contact_requires_the_modulus_of_unknown_bodies():
     with pytest.raises(UsageError, match="modulus"):
         bounce(law="hertz")
     with pytest.raises(UsageError, match="only to a sphere at one port"):

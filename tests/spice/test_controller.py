@@ -77,7 +77,7 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     assert call(0.0, {node: 1.0}) == 7.0
 
 
-def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_path):
+def test_a_run_in_this_process_states_it_and_can_be_timed_again(tmp_path):
     """The simulator's own process can neither call functions nor be timed for one that does."""
     done = complete_run(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
     assert done.record["simulator"]["engine"] == "shared"
@@ -135,7 +135,7 @@ R1 b 0 1k
 
 
 @pytest.mark.filterwarnings("ignore:.*trying")
-def test_a_failed_step_is_tried_again_with_the_function_anew(tmp_path):
+def test_a_failed_step_is_repeated_with_a_reset_function(tmp_path):
     """As without a function; the failure says where, what was tried, and keeps the waveforms."""
     (tmp_path / "own.lib").write_text(HOPELESS)
     (tmp_path / "law.py").write_text(LAW)

@@ -29,7 +29,7 @@ def judged(tables, overrides, budget, name, exact):
     return error, result.record["convergence"], [str(each.message) for each in said]
 
 
-def test_a_budget_that_the_scene_keeps_anyway_costs_one_refined_run():
+def test_a_budget_that_is_met_needs_one_refined_run():
     exact = 5 * (1 - np.exp(-99e-6 / 20e-6)) * np.exp(-1e-4 / 20e-6)  # edges of 1 us: 1e-3 of it
     error, found, said = judged(LOWPASS, {}, 0.05, "late_v", exact)
     assert found["held"]
@@ -55,7 +55,7 @@ def test_a_coarse_scene_is_refined_until_its_budget_holds():
     assert any("finer solver." in each for each in said)
 
 
-def test_a_budget_out_of_reach_is_told():
+def test_an_unreachable_budget_is_reported():
     coarse = {"solver.reltol": 0.3, "solver.max_step": "20 us"}
     _, found, said = judged(LOWPASS, coarse, 1e-13, "late_v", 1.0)
     assert not found["held"]

@@ -32,7 +32,7 @@ def switched(waves):
 PULSE = {"pulse": {"high": 5.0, "width": 0.04, "edge": 1e-6, "start": 1e-3}}
 
 
-def test_it_operates_and_releases_after_the_times_of_closed_forms():
+def test_a_relay_operates_and_releases_at_the_times_of_closed_forms():
     """``L/R ln(V/(V - Vp))`` of the current and ``ln 2`` time constants of the armature make the
     operate time; the current falls to release by ``L/R ln(V/Vr)``."""
     L, operate = 0.2, 6e-3

@@ -98,7 +98,7 @@ def test_redundant_values_are_averaged_by_their_tolerances():
     assert found == pytest.approx(np.exp(weights @ np.log([1e-9, 1.02e-9]) / weights.sum()), 1e-6)
 
 
-def test_a_contradiction_names_both_values_and_what_each_implies():
+def test_a_contradiction_lists_both_values_and_their_implications():
     """A coupling of 0.4 where the resonances give another one; with it fs or fp would differ."""
     values = sheet() | {"keff": 0.4}
     stated = {name: values[name] for name in ("fs", "fp", "keff", "c0", "rm")}

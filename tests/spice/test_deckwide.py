@@ -53,7 +53,7 @@ REFUSED = {
 }
 
 
-def test_what_acts_on_the_whole_deck_is_refused_by_name(tmp_path, monkeypatch):
+def test_cards_that_act_on_the_whole_deck_are_rejected(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text, said in REFUSED.items():
         with pytest.raises(UsageError, match=said) as caught:
@@ -73,7 +73,7 @@ OWN = {
 
 
 @pytest.mark.parametrize("text", OWN.values(), ids=OWN)
-def test_what_a_netlist_says_to_itself_runs(text, tmp_path, monkeypatch):
+def test_statements_about_a_netlist_in_its_header_are_read(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deck = make_deck(built(load_scene(scene(tmp_path, text))))
     require_valid_wiring(deck)
@@ -106,7 +106,7 @@ def edit(deck, folder, change):
         (folder / name).write_text(change(text))
 
 
-def test_an_edited_deck_that_changes_what_others_mean_is_refused(tmp_path, monkeypatch):
+def test_an_edited_deck_that_changes_the_meaning_of_parts_is_rejected(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     build = built(load_scene(scene(tmp_path, "")))
     deck = make_deck(build)

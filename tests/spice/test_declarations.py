@@ -169,7 +169,7 @@ def worst_printed(name, text):
 
 
 @pytest.mark.parametrize(("name", "dialect"), PRINTED)
-def test_the_printed_text_is_what_is_stated(name, dialect):
+def test_the_printed_text_equals_the_documented_text(name, dialect):
     """1e-9: a displacement of 0.1 um beside a pin at 1 um has lost a digit, and the oracle's
     differences of charges some more."""
     assert worst_printed(name, printed(name, dialect)) < 1e-9
@@ -247,7 +247,7 @@ def worst_slope(name):
 
 
 @pytest.mark.parametrize("name", sorted(set(DECLARED) - PLAIN))
-def test_the_law_is_what_is_stated(name):
+def test_the_law_follows_its_declaration(name):
     """1e-10: the oracle's differences of charges; the energy is complete to rounding."""
     through, powers = worst_law(name)
     assert through < 1e-10
@@ -356,7 +356,7 @@ def test_the_cards_of_a_contact_are_its_law(kind, dialect):
 
 
 @pytest.mark.parametrize("kind", NORMALS)
-def test_the_law_of_a_contact_is_what_is_stated(kind):
+def test_the_law_of_a_contact_follows_its_declaration(kind):
     normal = NORMALS[kind]
     stated_ = pressing(normal)
     own = law.DeclaredLaw("law", stated_, tuple(stated_.values(stated_.keys()).values()))
@@ -389,18 +389,18 @@ WRONG = [("cubic_spring", "ngspice", "1e-6*V", "1.00001e-6*V"),
 
 
 @pytest.mark.parametrize(("name", "dialect", "before", "after"), WRONG)
-def test_a_wrong_card_is_seen(name, dialect, before, after):
+def test_a_wrong_card_is_detected(name, dialect, before, after):
     text = printed(name, dialect)
     assert before in text
     assert worst_printed(name, text.replace(before, after)) > 1e-6
 
 
-def test_a_wrong_law_is_seen():
+def test_a_wrong_law_is_detected():
     """Of a coil with another motor, whose powers are even."""
     assert worst_law("voice_coil", bl=6.0001)[0] > 1e-6
 
 
-def test_energy_that_is_made_is_seen(monkeypatch):
+def test_energy_created_by_a_part_is_detected(monkeypatch):
     good = law.DeclaredLaw.loss
     monkeypatch.setattr(law.DeclaredLaw, "loss", lambda self, e, mode: 1.001 * good(self, e, mode))
     assert worst_law("voice_coil")[1] > 1e-6

@@ -198,7 +198,7 @@ def test_beyond_its_limit_a_part_fails_by_name():
 
 
 @pytest.mark.parametrize(("core", "magnet", "amps"), [(0.0, 0.0, 0.5), (4.5e5, 300.0, 0.2)])
-def test_a_keeper_rests_where_spring_and_flux_are_even(core, magnet, amps):
+def test_a_keeper_rests_where_spring_force_and_magnetic_force_are_equal(core, magnet, amps):
     """Force ``flux^2 / (MU_0 area)`` of two gaps, against the root of a cubic in what is left."""
     area, gap, turns, k = 1e-4, 2e-3, 400.0, 3e5
     scene = {
@@ -218,7 +218,7 @@ def test_a_keeper_rests_where_spring_and_flux_are_even(core, magnet, amps):
 
 
 @pytest.mark.parametrize(("stop", "warned"), [(0.4e-3, False), (0.8e-3, True)])
-def test_a_mass_thrown_at_a_stop_and_what_is_said_of_its_second_strike(stop, warned):
+def test_a_second_impact_on_a_stop_is_reported(stop, warned):
     """On a spring, in pieces of sines: between strikes near pull-in an error of steps grows."""
     m, k, hard, travel, speed = 1e-6, 100.0, 1e6, 2e-6, 0.05
     comb = {"fingers": 10, "thickness": "1 um", "gap": "1 um", "overlap": "1 mm"}
@@ -314,7 +314,7 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         assert write_dialect_files(kc.deck(scene), dialect)
 
 
-def test_what_has_a_corner_is_neither_linear_nor_printed_as_linear_sources():
+def test_functions_with_a_corner_are_not_linear_sources():
     """A step has no slope on either side: its switching is all that it does."""
     stepped = Declaration(
         "stepped",
@@ -344,7 +344,7 @@ PUSHER = DeclaredPart(
 )
 
 
-def test_what_is_only_seen_brings_in_no_energy(monkeypatch):
+def test_measured_quantities_supply_no_energy(monkeypatch):
     """A mass under ``gain v`` goes ``gain v t^2 / 2 m``; the run's own balance holds."""
     monkeypatch.setitem(parttype._types, "pusher", PUSHER)
     pulse = {"high": 1.0, "width": 1.0, "edge": 1e-9, "start": 1e-6}
@@ -380,7 +380,7 @@ def cooling(monkeypatch):
     monkeypatch.setitem(parttype._types, "cooling", DeclaredPart(declaration))
 
 
-def test_heat_that_is_lost_by_a_cubic_law_takes_steps_of_its_own_time(cooling):
+def test_heat_loss_by_a_cubic_law_sets_the_time_step(cooling):
     """``C T' = P - a T - b T^3`` by scipy, for a minute: heat cannot ring, so that error control
     chooses the steps."""
     capacity, power, a, b = 0.5, 2.0, 0.02, 1e-6

@@ -218,7 +218,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_what_a_dialect_cannot_say_is_refused(dialect):
+def test_constructs_that_a_dialect_lacks_are_rejected(dialect):
     for source in REFUSED:
         with pytest.raises(UsageError) as caught:
             translate_deck(one(source), dialect)
@@ -239,7 +239,7 @@ def xyce(cards_, **facts):
     return spoken.files["one.cir"], spoken.vectors
 
 
-def test_xyce_is_told_what_it_does_otherwise():
+def test_decks_for_xyce_contain_its_deviations():
     """Each of these was seen in runs of Xyce 7.10 against ngspice."""
     touch = ".subckt touch a b\nC1 a b 1u IC=0\n.ends\nX1 n 0 touch\nR1 n 0 1\n.tran 1u 1m"
     started, resting = xyce(f"{touch} 0 1u uic")[0], xyce(touch)[0]
@@ -292,7 +292,7 @@ TREES = {  # of v = V(a,b) …, as ngspice 46 documents its functions
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_whatever_ngspice_reads_has_its_value_in_other_words(dialect):
+def test_numbers_have_equal_values_in_all_spellings(dialect):
     known = {"if_": lambda test, yes, no: yes if test else no, "abs": abs, "exp": math.exp,
              "pow": pow, "max": max, "table": flat}  # fmt: skip
     for card, expected in TREES.items():

@@ -36,7 +36,7 @@ Rout buffered out 1
         ({"slew": 3e8}, "mine.out within its slew rate"),
     ],
 )
-def test_what_a_netlist_states_of_itself_is_checked(rating, violated, tmp_path):
+def test_the_header_of_a_netlist_is_checked(rating, violated, tmp_path):
     """RC of 100 ns behind an edge of 200 ns rises by at most (1 - e^-2) 5e8 V/s."""
     (tmp_path / "mine.lib").write_text(RATED)
     text = ", ".join(f"{k} = {v!r}" for k, v in rating.items())

@@ -108,7 +108,7 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
     assert end == pytest.approx(50.0, rel=0.01)
 
 
-def test_half_bridge_drops_what_its_transistor_takes(header, tmp_path):
+def test_the_voltage_drop_of_the_half_bridge_is_that_of_its_transistor(header, tmp_path):
     """``i = limit (1 - (1 - v / 9 V)^2)`` at a gate of 12 V and a threshold of 3 V."""
     part = HalfBridge().netlist(header, "half_bridge", parameters(HalfBridgeKeys()))
     cards = "current_limit=6 resistance=2 reservoir=1"

@@ -59,7 +59,7 @@ def test_a_part_is_judged_by_the_value_that_the_netlist_has(scene, key, old, new
         ("loudspeaker", "inductance=500u", "inductance=4m"),
     ],
 )
-def test_the_balance_sees_what_is_not_declared(scene, old, new, tmp_path):
+def test_the_balance_detects_undeclared_energy(scene, old, new, tmp_path):
     """The scene's keys against the run of a netlist with another value."""
     name = SCENES[scene][0]
     loaded = kc.load_scene(scene)
@@ -71,7 +71,7 @@ def test_the_balance_sees_what_is_not_declared(scene, old, new, tmp_path):
     assert balance.share > 1.5 * balance.limit
 
 
-def test_a_library_with_other_cards_is_not_judged_and_says_why(tmp_path):
+def test_a_library_with_other_cards_is_not_checked_and_states_the_reason(tmp_path):
     old = "voltage besides that of the flux = resistance*i"
     deck = edited("loudspeaker", tmp_path, "I={1e-6*V(a,b)/", "I={1.1e-6*V(a,b)/")
     with pytest.warns(UserWarning, match="coil: its subcircuit voice_coil has other cards"):

@@ -70,7 +70,7 @@ Itip2 0 tip2 DC 0 AC 1
     assert np.abs(waves["short"] / (2j * np.pi * f * per_newton) - 1).max() < 1e-7
 
 
-def test_the_error_of_an_element_is_seen_at_the_lowest_frequency():
+def test_the_error_of_an_element_is_detected_at_the_lowest_frequency():
     """A leak g takes g / (w C) of the current."""
     part = subcircuit(sensor(), "sensor")
     assert part.reduction.circuit_error == pytest.approx(1e-9 / (2 * np.pi * BAND[0]), rel=1e-3)
@@ -82,7 +82,7 @@ def test_the_error_of_an_element_is_seen_at_the_lowest_frequency():
     assert found.frequency == BAND[0]
 
 
-def test_the_error_of_an_element_is_seen_at_a_resonance():
+def test_the_error_of_an_element_is_detected_at_a_resonance():
     """A damping that is 1 % off, at the resonance."""
     part = subcircuit(sensor(), "sensor")
     drag = float(re.search(r"(?m)^Gd1 .*\{damping\*(\S+)\}", part.text)[1])

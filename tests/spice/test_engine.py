@@ -68,7 +68,7 @@ def test_a_good_run(tmp_path):
         ("V1 b 0 1\nR1 b 0 {nothing}\n.tran 1u 1m", "ngspice failed"),
     ],
 )
-def test_a_failed_run_is_told_and_leaves_no_raw_file(cards, message, tmp_path):
+def test_a_failed_run_is_an_error_and_leaves_no_raw_file(cards, message, tmp_path):
     (tmp_path / "d.raw").write_bytes(b"the result of another day")
     with pytest.raises(SimulationError, match=message) as caught:
         run_deck(deck(cards, stop=1e-3), tmp_path)

@@ -60,7 +60,7 @@ def test_ports_that_nothing_joins_are_in_the_export_and_work(chain, tmp_path):
     assert np.array(row.groups(), dtype=float) == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_run_leaves_them_out_and_explain_says_so(chain, tmp_path):
+def test_a_run_neglects_the_effects_and_explain_lists_them(chain, tmp_path):
     chain("run", "pushed.toml", "-o", "out", "-q")
     assert pins(tmp_path / "out" / "pushed_chain.lib") == ["left"]
     said = chain("explain", "pushed.toml")
@@ -86,7 +86,7 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     assert "no subcircuit of this part" in said  # what stands beside it is not taken for it
 
 
-def test_a_chip_alone_is_there_to_be_exported_with_all_its_rings(tmp_path):
+def test_a_scene_with_only_a_chip_exports_all_rings(tmp_path):
     mesh = "mesh = { sectors = 4, rings = 2, ring_spacing = 3e-4, outer_rings = 2 }"
     path = tmp_path / "alone.toml"
     path.write_text(f'[kick]\nlayers = 3\nelectrical = "open"\n{mesh}\n')

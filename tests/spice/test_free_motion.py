@@ -21,7 +21,7 @@ def push(**keys):
     return {"part": "source", "kind": "force", "pins": {"out": "box.a"}, **keys}
 
 
-def test_a_mass_flies_on_as_fast_as_it_began(tmp_path):
+def test_a_free_mass_keeps_its_velocity(tmp_path):
     """A hidden spring of 1e-3 N/m would have turned it back within 50 ms."""
     for found in ran({"box": BOX | {"velocity": 1.0}, "seen": SEEN, **STEPS}, tmp_path):
         np.testing.assert_allclose(found["box.x"], found["time"], rtol=1e-9, atol=1e-15)
@@ -40,7 +40,7 @@ def test_a_jump_of_velocity_is_refused_where_nothing_yields(shape):
 
 
 @pytest.mark.parametrize(("light", "D", "found"), [(1, 0, ("tip",)), (0, 0, ()), (1, 1e-9, ())])
-def test_a_body_follows_a_jump_by_what_of_it_has_no_inertia(light, D, found):
+def test_a_jump_of_the_load_moves_only_massless_states(light, D, found):
     M, ports = np.diag([1.0, light]), [Port("tip", "mechanical")]
     model = LinearModel(M=M, E=0 * M, K=np.eye(2), B=[[1.0], [1.0]], D=[[D]], ports=ports)
     assert inert_ports(model) == found
@@ -94,14 +94,14 @@ NO_REST = {
 
 
 @pytest.mark.parametrize("case", NO_REST)
-def test_what_has_no_equilibrium_is_told_before_a_run(case):
+def test_nets_without_equilibrium_are_errors_before_the_run(case):
     tables, name = NO_REST[case]
     with pytest.raises(UsageError, match=f"{name} has no support") as caught:
         load_scene({"name": "free", **tables})
     assert "spring" in caught.value.expected
 
 
-def test_what_touches_the_ground_rests_on_it(tmp_path):
+def test_parts_that_touch_the_ground_rest_on_it(tmp_path):
     floor = {"part": "contact", "a": "gnd", "b": "box", "penalty": 1e5}
     tables = {"box": BOX | {"weight": True}, "floor": floor, "analysis": {"type": "op"}}
     for found in ran(tables, tmp_path):

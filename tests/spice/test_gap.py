@@ -144,7 +144,7 @@ def test_too_few_branches_are_a_warning(timed):
     assert check.value > 1.0
 
 
-def test_a_branch_that_nothing_rests_on_fails_a_sweep():
+def test_an_unstable_branch_fails_a_sweep():
     """A body that comes nearer, or goes, while the voltage falls."""
     scene = load_scene(loop())
     part, build = scene.parts["plate"], resolve_build(Build(scene, {}))
@@ -156,7 +156,7 @@ def test_a_branch_that_nothing_rests_on_fails_a_sweep():
         assert [c.passed for c in found] == [passed]
 
 
-def test_bad_keys_say_what_they_are():
+def test_errors_of_invalid_keys_quote_the_keys():
     with pytest.raises(UsageError, match="stop is behind"):
         load_scene(loop(travel=GAP))
     with pytest.raises(UsageError, match="area shares differ"):
@@ -233,7 +233,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
     assert found == pytest.approx(0.00126 * (2 * half) ** 4 / rigidity / half**2, rel=0.01)
 
 
-def test_rows_of_a_plate_have_a_width_and_patches_alike():
+def test_rows_of_a_plate_have_a_width_and_equal_patches():
     for keys, what in (
         ({"rows": 2, "width": 1.0}, "not a multiple of the number of rows"),
         ({"rows": 3}, "rows and width"),
@@ -336,7 +336,7 @@ def test_the_energy_of_a_film_balances_where_its_velocity_jumps():
 
 
 @pytest.mark.parametrize("branches", [3, 12])
-def test_what_cancels_in_a_film_does_not_set_the_step(branches):
+def test_forces_that_cancel_in_a_film_do_not_set_the_step(branches):
     """Nothing but rounding flows into the joint of damper and spring of a branch, which is damped
     far too strongly to ring: the shortest motion is that of the drive."""
     tables = pulsed(branches=branches)

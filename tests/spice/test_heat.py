@@ -164,7 +164,7 @@ def random_heat(rng, n, ports):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_networks_of_random_models_are_passive_and_answer_alike(seed):
+def test_networks_of_random_models_are_passive_and_have_equal_responses(seed):
     rng = np.random.default_rng([48, seed])
     ports = 1 + seed % 3
     model, E, K, B = random_heat(rng, int(rng.integers(1, 8)), ports)

@@ -158,13 +158,13 @@ def assert_ranges_hold(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_stated_error_holds_over_ranges_of_films(seed):
+def test_the_error_estimate_is_valid_over_ranges_of_films(seed):
     assert_ranges_hold(seed)
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(6, 56))
-def test_the_stated_error_holds_over_many_ranges_of_films(seed):
+def test_the_error_estimate_is_valid_over_many_ranges_of_films(seed):
     assert_ranges_hold(seed)
 
 
@@ -292,7 +292,7 @@ def sink_resistance():
     return chip + plate + 5e-3 / (k["aluminium"] * SINK_AREA)
 
 
-def test_monte_carlo_of_ngspice_alone_has_the_mean_and_spread_of_the_closed_form(tmp_path):
+def test_monte_carlo_in_ngspice_has_the_mean_and_spread_of_the_closed_form(tmp_path):
     """The logarithm of the coefficient is normal, and so is that of the film's resistance."""
     (library,) = kc.deck(kc.load_scene(EXAMPLE / "heat_sink.toml")).parts
     (tmp_path / "library").mkdir()

@@ -272,7 +272,7 @@ type = "op"
 # --- PSpice: an operational amplifier by its equations ------------------------------------------
 
 
-def test_a_pspice_amplifier_slews_and_clips_as_its_equations_say(tmp_path):
+def test_a_pspice_amplifier_slews_and_clips_by_its_equations(tmp_path):
     """``c dv/dt = limit(gm (in - v), +-i) - v/r``, the output within its rails."""
     library = """* PSpice
 .subckt own plus out params: rail=5 slew=2e6
@@ -377,7 +377,7 @@ max_step = "20 ns"
         ("I1 a 0 1 load", "a load without current at 0 V"),
     ],
 )
-def test_what_has_no_equal_is_refused_with_its_line(card, message):
+def test_constructs_without_an_equivalent_are_rejected_with_their_line(card, message):
     text = f".subckt own a\nR1 a 0 1\n{card}\n.ends\n"
     with pytest.raises(UsageError, match=message) as caught:
         translate_circuit(read_cards(text, "own.lib"), "ltspice")

@@ -11,7 +11,7 @@ LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_a_library_runs_alone(path, tmp_path):
+def test_a_library_runs_without_kc2spice(path, tmp_path):
     """A volt, a micrometre or an ampere rises at the first pin; all pins end in a resistor."""
     cards = ["* alone", f".include {path}"]
     for part in read_lib(path):

@@ -202,7 +202,7 @@ MASS = 4 / 3 * np.pi * 1e-9 * 7850.0  # kg
 @pytest.mark.parametrize(
     ("law", "keys"), [("linear", {"penalty": 1e7}), ("hertz", {"modulus": 100e9})]
 )
-def test_a_contact_gives_off_what_a_rebound_loses(law, keys):
+def test_a_contact_gives_off_the_energy_lost_in_a_rebound(law, keys):
     floor = {"part": "contact", "a": "gnd", "law": law, "damping": 0.1, **keys}
     scene = {
         "name": "bounce",

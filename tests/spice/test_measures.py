@@ -136,7 +136,7 @@ def test_a_resonance_of_an_impedance_is_within_a_step_of_the_fit(tmp_path):
     assert values["resonance_hz"] == pytest.approx(result.metrics["resonance_hz"], rel=step)
 
 
-def test_an_operating_point_prints_what_its_probes_read(tmp_path):
+def test_an_operating_point_prints_the_values_of_its_probes(tmp_path):
     scene = {
         "name": "held",
         "push": {"part": "source", "kind": "force", "dc": "2 mN"},
@@ -171,14 +171,14 @@ MEASURED = {
 
 
 @pytest.mark.parametrize("dialect", MEASURED)
-def test_other_simulators_measure_in_their_own_words(dialect):
+def test_measurements_have_the_syntax_of_other_simulators(dialect):
     _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
     lines = translate_deck(deck, dialect).text.split("\n")
     assert set(MEASURED[dialect]) <= set(lines)
     assert "* Main metrics in SI units" in lines
 
 
-def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
+def test_scales_and_magnitudes_have_the_syntax_of_other_simulators():
     _, deck = prepare_deck(kc.load_scene("gap_biased"), Clock())
     xyce, ltspice = (translate_deck(deck, dialect).text for dialect in ("xyce", "ltspice"))
     assert re.search(r"(?m)^\.measure AC voltage_hz MAX VM\(\w+\) OUTPUT=FREQ$", xyce)

@@ -90,14 +90,14 @@ def text(deck):
     return "\n".join(deck.files.values())
 
 
-def test_a_scene_that_asks_for_nothing_has_no_meter(scene, tmp_path):
+def test_a_scene_without_probes_has_no_meter(scene, tmp_path):
     analysis, drive = "type='transient'\nstop=1e-5", "dc = 1.0"
     plain = text(kc.deck(scene(analysis, drive, probes={})))
     assert "_meter" not in plain
     assert text(kc.deck(scene(analysis, drive))).count("_meter") > 0
 
 
-def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):
+def test_a_source_with_the_name_of_a_meter_keeps_its_name(scene):
     more = (
         '[device_anode_meter]\npart = "source"\ndc = 1.0\n'
         'pins = { out = "other.a" }\n[other]\npart = "resistor"\nresistance = 1.0\n'
@@ -107,12 +107,12 @@ def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):
 
 
 @pytest.mark.parametrize("name", ["own.i(Rnone)", "own.none", "drive.none.current", "load.b.power"])
-def test_what_no_part_has_is_refused_before_a_run(scene, name):
+def test_keys_that_no_part_has_are_rejected_before_a_run(scene, name):
     with pytest.raises(UsageError, match=r"no such (pin|vector|result)"):
         kc.deck(scene("type='op'", "dc = 1.0", probes={"x": name}))
 
 
-def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
+def test_flows_into_a_net_sum_to_zero(tmp_path):
     """Newton's third law and Kirchhoff's: of forces on a mass, and of currents at a source."""
     scene = load_scene({
         "name": "sums", "analysis": {"type": "transient", "stop": 5e-3}, "gravity": 0.0,

@@ -150,7 +150,7 @@ def runs(coarse: dict[str, float], fine: dict[str, float], units: dict[str, str]
     return [Metrics({k: np.asarray(v) for k, v in m.items()}, units) for m in (coarse, fine)]
 
 
-def test_a_metric_is_judged_by_those_of_its_own_unit():
+def test_errors_of_metrics_are_relative_to_metrics_of_the_same_unit():
     # by name the length would be judged by 100 V, the quality by the coupling
     units = {"x_peak": "m", "u_peak": "V", "far_m": "m"}
     coarse, fine = runs(
@@ -169,7 +169,7 @@ def test_near_zero_values_are_judged_by_a_tenth_of_the_largest_in_their_unit():
     assert refine.metric_changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
 
 
-def test_values_of_a_response_are_judged_by_themselves():
+def test_errors_of_a_response_are_relative_to_each_value():
     """An amplitude below a resonance is no small difference of large ones."""
     units = {"low": "m", "peak": "m", "still": "m"}
     coarse, fine = runs(

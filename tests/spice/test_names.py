@@ -10,7 +10,7 @@ from support import UsageError, export_scene, load_scene, make_deck, read_lib, r
 import kc2spice as kc
 
 
-def test_two_parts_whose_pins_read_alike_keep_their_voltages(tmp_path, monkeypatch):
+def test_parts_with_equal_joined_pin_names_keep_their_voltages(tmp_path, monkeypatch):
     """Both pins would be ``n_c_a``: 1 V and 2 V would be one net."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.lib").write_text(".subckt one c_a ref\nV1 c_a ref 1\nR1 c_a ref 1k\n.ends\n")
@@ -104,7 +104,7 @@ points = 3
 
 
 @pytest.mark.parametrize("second", ["m", "n"])
-def test_bodies_of_one_part_number_share_a_library_if_they_are_alike(second, tmp_path):
+def test_equal_bodies_of_one_part_number_share_a_library(second, tmp_path):
     """Far below all resonances the current is that of ``D + B' K^-1 B``."""
     w2 = (2 * np.pi * np.array([100e3, 300e3])) ** 2
     farad = {}

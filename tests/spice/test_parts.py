@@ -53,7 +53,7 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
 
 
 @pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])
-def test_controller_has_the_gains_asked_for(header, how, form, tmp_path):
+def test_controller_has_the_specified_gains(header, how, form, tmp_path):
     """Small signals by ``KP + KI / s + KD s / (1 + s rolloff)``, exported or set in the deck."""
     control = Control(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7, form=form)
     given = f"kp={control.kp} ki={control.ki} kd={control.kd} rolloff={control.rolloff}"
@@ -75,7 +75,7 @@ Xpid y enable command 0 pid {given if how == "instance" else ""}
 
 
 @FORMS
-def test_a_controller_that_is_disabled_begins_anew(header, form, tmp_path):
+def test_a_disabled_controller_starts_again_from_zero(header, form, tmp_path):
     """1 um above the set point all the time, with an integral that reaches ten times kp e."""
     control = Control(form=form, kp=1e3, ki=1e7, kd=0.0)
     cards = """Vy y 0 2501

@@ -73,7 +73,7 @@ def test_a_model_that_leads_no_heat_away_is_refused(tmp_path):
     assert result.waves["slab.temperature.top"][-1] == pytest.approx(2.0 * 25.0, rel=1e-6)
 
 
-def test_domains_that_need_a_path_say_so():
+def test_nets_of_some_domains_need_a_path_to_their_reference():
     needing = {domain.name for domain in CONSERVATIVE if domain.path}
     assert needing == {"translation", "rotation", "thermal", "acoustic"}
     assert all("{part}" in DOMAINS[name].adrift for name in needing)

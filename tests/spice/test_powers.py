@@ -14,7 +14,7 @@ def final(of, take="final"):
     return {"of": of, "take": take}
 
 
-def test_power_of_heat_is_the_flow_itself():
+def test_the_power_at_a_pin_of_heat_is_the_heat_flow():
     drive = {"part": "source", "kind": "heat_flow", "dc": "2 W"}
     scene = {
         "drive": drive,
@@ -160,7 +160,7 @@ def test_slopes_are_those_of_parabolas_and_skip_equal_points():
     np.testing.assert_allclose(differentiate(3 * t**2 - t, t), 6 * t - 1, rtol=1e-12)
 
 
-def test_a_force_that_a_part_has_itself_needs_no_meter():
+def test_a_force_that_a_part_reports_needs_no_meter():
     """The force of a contact is its result, not that at its first pin."""
     scene = kc.load_scene("newtons_cradle")
     assert any(probe.of == "contact12.force" for probe in scene.probes.values())

@@ -84,5 +84,5 @@ def test_numbers_are_those_of_an_engineer():
      ("10", "10"), ("n1.5e-6", "n1.5e-6"), ("24.9u", "24.9u"),
      ("PULSE(1e999 1e-999 0)", "PULSE(1e999 1e-999 0)")],
 )  # fmt: skip
-def test_words_keep_what_is_no_number(text, spelled):
+def test_words_without_numbers_are_unchanged(text, spelled):
     assert with_prefixes(text) == spelled

@@ -18,13 +18,13 @@ def solved(request, tmp_path):
 
 @pytest.mark.parametrize("solved", [("imprint", "imprint.depth=8 um", "imprint.steps=40")],
                          indirect=True)  # fmt: skip
-def test_a_force_at_rest_is_that_of_the_law(solved):
+def test_the_force_at_rest_equals_the_force_of_the_law(solved):
     found, exact = (waves["contact.force"][1:] for waves in (solved[0], solved[1].results))
     assert found == pytest.approx(exact, rel=1e-11)
 
 
 @pytest.mark.parametrize("solved", [("impact",)], indirect=True)
-def test_contact_ends_where_the_law_says(solved):
+def test_contact_ends_at_the_limit_of_the_law(solved):
     """The force ends while the surfaces still overlap by pace times their speed, 12 nm."""
     (time, speed), (exact_time, exact_speed) = (
         find_separation(w["time"], w["contact.force"], w["sphere.v"])

@@ -53,14 +53,14 @@ def looked(tmp_path, cli):
 @pytest.mark.parametrize(
     ("node", "share"), [("in", 1.0), ("mid", POLE), ("xb.inner", POLE), ("out", POLE / 2)]
 )
-def test_a_probe_sees_pins_and_nodes_inside(looked, node, share):
+def test_a_probe_reads_pins_and_inner_nodes(looked, node, share):
     done = looked(node)
     assert done.exit_code == 0, done.stderr
     # ngspice adds 1e-12 S to nodes: far below
     assert json.loads(done.stdout)["metrics"]["looked"] == pytest.approx(share, rel=1e-6)
 
 
-def test_an_unknown_node_is_told_before_the_run(looked, tmp_path):
+def test_an_unknown_node_is_an_error_before_the_run(looked, tmp_path):
     done = looked("mod")
     said = " ".join(done.stderr.split())
     assert done.exit_code == 2

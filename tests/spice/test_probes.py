@@ -243,7 +243,7 @@ def test_windows_off_a_sweep_are_refused(window):
 
 
 @pytest.mark.parametrize("points", [3, 20])
-def test_responses_are_read_where_the_probe_says(points):
+def test_probes_read_responses_at_their_frequency(points):
     """Current of a series resonator at a frequency and at the ends of a window, in closed form."""
     R, L, C = 10.0, 1e-3, 1e-6
     scene = {
@@ -265,7 +265,7 @@ def test_responses_are_read_where_the_probe_says(points):
         assert found[name] == pytest.approx(abs(1 / (R + s * L + 1 / (s * C))), rel=1e-6), name
 
 
-def test_densities_are_read_where_the_probe_says():
+def test_probes_read_densities_at_their_frequency():
     """Johnson's noise of a resistor behind a capacitor, between two frequencies of the analysis."""
     scene = {
         "name": "rc",

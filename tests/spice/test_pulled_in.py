@@ -35,7 +35,7 @@ def biased(kind, volts, analysis):
 
 @pytest.mark.parametrize("kind", ["parallel_plate", "gap"])
 @pytest.mark.parametrize("analysis", ["ac", "noise"])
-def test_small_signals_tell_their_operating_point(kind, analysis):
+def test_small_signal_runs_print_their_operating_point(kind, analysis):
     """``K x = eps A v^2 / (2 (g - x)^2)``."""
     record = kc.run(biased(kind, 2.0, analysis)).record
     x = brentq(lambda x: K * x * 2 * (GAP - x) ** 2 - EPS * AREA * 4.0, 0.0, GAP / 3)
@@ -70,7 +70,7 @@ def test_small_signals_about_a_stop_fail(kind, analysis):
             kc.run(scene)
 
 
-def test_a_bias_that_stands_on_a_stop_is_a_warning():
+def test_a_bias_beyond_the_stop_prints_a_warning():
     with pytest.warns(UserWarning, match="beyond the stop at its operating point"):
         result = kc.run(biased("parallel_plate", 5.0, "op"))
     force = EPS * AREA * 25.0 / (2 * (GAP - TRAVEL) ** 2) - K * TRAVEL

@@ -62,7 +62,7 @@ def answers(part, ports, tmp_path):
 
 @pytest.mark.parametrize("form", ["resonators", "blocks", "dense"])
 @pytest.mark.parametrize("mass", [None, KNOWN_MASS])
-def test_every_port_answers_every_other(form, mass, tmp_path):
+def test_every_port_responds_to_every_other_port(form, mass, tmp_path):
     """``y = B' (s^2 M + s E + K)^-1 B u + D u``; a charge is seen as the current ``s y``, a
     frame's reaction is ``m a - y''``."""
     M, K, B, D = springs()
@@ -88,7 +88,7 @@ def test_every_port_answers_every_other(form, mass, tmp_path):
 
 
 @pytest.mark.parametrize("loss", [0.0, 1e-8, 1e-5])  # s, times K: no damping, Q above 1000, below
-def test_modes_of_any_damping_answer_alike(loss, tmp_path):
+def test_responses_of_modes_are_exact_for_any_damping(loss, tmp_path):
     """As above; without damping the response is real, away from the poles."""
     M, K, B, D = springs()
     model = LinearModel(M=M, E=loss * K, K=K, B=B, D=D, ports=PORTS)

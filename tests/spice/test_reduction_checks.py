@@ -62,7 +62,7 @@ def command(folder, text, *words):
 
 @pytest.mark.parametrize(("order", "code", "action"), [(2, 5, "fail"), (3, 0, "warn")])
 @pytest.mark.parametrize("analysis", [AC, TRANSIENT])
-def test_a_run_says_that_its_reduced_body_is_far_off(tmp_path, order, code, action, analysis):
+def test_a_run_reports_a_large_error_of_the_reduced_body(tmp_path, order, code, action, analysis):
     bar(tmp_path, held=1e6)
     rom = f'[rom]\norder = {order}\nband = ["0 Hz", "100 kHz"]\n'
     done = command(tmp_path, SCENE + rom + analysis, "run", "--json", "--quiet")
@@ -122,7 +122,7 @@ def test_a_sharp_resonance_that_is_off_fails_no_pulse(tmp_path, order, code):
     assert json.loads(done.stdout)["rom"]["order"] > 2
 
 
-def test_a_run_without_a_better_order_keeps_its_own(tmp_path):
+def test_a_run_without_a_better_order_keeps_the_order(tmp_path):
     """The inertia behind the port of a rod that dampens it is no matter of more states."""
     rod(tmp_path)
     text = STRUCK + '[rom]\norder = 14\nband = ["0 Hz", "500 kHz"]\n'
@@ -205,7 +205,7 @@ def test_a_chosen_reduction_that_a_contact_outruns_fails(tmp_path):
     assert "set rom.order = 10" in " ".join(done.stderr.split())
 
 
-def test_a_run_says_that_its_body_grows_by_itself(tmp_path):
+def test_a_run_reports_an_unstable_body(tmp_path):
     bar(tmp_path, held=1e6, damping=-1e-4)
     done = command(tmp_path, SCENE + TRANSIENT, "run", "--json", "--quiet")
     assert done.exit_code == 0, done.output

@@ -47,7 +47,7 @@ def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_pat
     assert all(check.passed for check in done.verdict.checks if check.action == "fail")
 
 
-def test_what_no_tolerance_cures_is_not_run_again(scene, loop, model, table, tmp_path):
+def test_failures_that_no_tolerance_prevents_are_not_repeated(scene, loop, model, table, tmp_path):
     def beyond(waves):
         far = waves.data | {"sphere.y": waves["sphere.y"] + 1.0}
         return list_checks(dataclasses.replace(waves, data=far), built(scene, model, table))

@@ -22,7 +22,7 @@ def chip(damping):
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3, 1e-2])
-def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
+def test_ngspice_needs_the_expected_number_of_time_points(damping, tmp_path):
     """Modes ring for 59 us and longer, or die away within it."""
     model = chip(damping)
     scene = load_scene({**KICK, "solver": {"stop": "60 us"}})

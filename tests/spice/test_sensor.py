@@ -50,7 +50,7 @@ def test_the_reading_follows_a_step_by_its_pole_and_offset_in_ngspice_and_by_its
 
 
 @pytest.mark.parametrize("eye", [None, {"offset": 2e-6}])
-def test_a_sphere_in_flight_is_held_through_a_sensor_as_by_the_laws(eye):
+def test_control_through_a_sensor_equals_the_laws(eye):
     """Switched off for 0.3 ms: its integral begins anew."""
     data = {
         "name": "held",

@@ -99,7 +99,7 @@ def test_masses_in_time_follow_coupled_equations():
 
 
 @pytest.mark.slow
-def test_a_harvester_has_one_power_wherever_its_tip_mass_stands():
+def test_the_power_of_a_harvester_does_not_depend_on_the_part_of_its_tip_mass():
     """3 of 8 g as a part of its own are worth what they are worth as a key of the beam, with the
     same damping: as a ratio alone it would be that of another resonance."""
     band = {"type": "ac", "start": "50 Hz", "stop": "62 Hz", "points": 13, "scale": "linear"}
@@ -143,7 +143,7 @@ def test_a_stop_on_the_frame_meets_relative_displacements():
     assert -1.2e-4 < found < -1.0e-4  # some 500 um without it
 
 
-def test_explain_states_what_displacements_count_from():
+def test_explain_states_the_reference_of_displacements():
     scene = load_scene(beam(own={"part": "mass", "mass": 1e-3, "pins": {"a": "k.a"}},
                             k={"part": "spring", "stiffness": 10.0}))  # fmt: skip
     lines = describe_plan(Build(scene, {}))["frames"]
@@ -184,7 +184,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_right_is_refused(name):
+def test_impossible_values_are_rejected(name):
     parts, problem, cure = REFUSED[name]
     with pytest.raises(UsageError, match=problem) as caught:
         load_scene(beam(**parts))
@@ -239,7 +239,7 @@ axis = {axis}
 
 
 @pytest.mark.parametrize(("axis", "share"), [("[1, 1, 0]", np.sqrt(0.5)), ("[0, 0, 1]", 0.0)])
-def test_a_mass_feels_what_is_along_its_port(axis, share, tmp_path):
+def test_only_acceleration_along_its_port_acts_on_a_mass(axis, share, tmp_path):
     """Two masses on a spring of 1 kN/m: the frame is shaken at an angle to the port, or across."""
     stiffness, own = 1e3, 2e-3
     for letter, value in (("K", stiffness), ("M", own)):

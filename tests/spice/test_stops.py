@@ -64,7 +64,7 @@ def bounces(restitution, count):
 
 
 @pytest.mark.parametrize("kind", PARTS)
-def test_a_mass_bounces_as_its_restitution_has_it_and_comes_to_rest(kind):
+def test_a_mass_bounces_with_its_restitution_and_comes_to_rest(kind):
     """0.5 by default: heights fall to a quarter. Ten bounces are at the speed of the law's rest."""
     waves = kc.run(pushed(kind)).waves
     away = TRAVEL - np.abs(waves["mass.x"])
@@ -121,7 +121,7 @@ def test_a_stop_of_any_stiffness_returns_its_restitution(stop):
 
 
 @pytest.mark.slow
-def test_a_hard_stop_holds_what_is_pressed_against_it():
+def test_a_hard_stop_balances_the_force_on_it():
     """30 mg snap onto a stop of 10 GN/m and rest there, at the first attempt: ngspice has chosen
     pivots that keep the digits of steps of picoseconds."""
     keys = {"plate.restitution": 0.3, "solver.retries": 0, "solver.stop": "397 ms"}

@@ -61,7 +61,7 @@ def pins_of(symbol):
 # ------------------------------------------------------------------------------------ KiCad
 
 
-def test_kicad_reads_what_the_library_declares(written, deck):
+def test_kicad_reads_the_pins_and_parameters_of_a_library(written, deck):
     symbols = {s.library_id: s for s in library(written).symbols}
     assert {"GND", "SOURCE", "RESISTOR", "PROBE", "PWR_FLAG"} < set(symbols)
     for part in deck.parts:
@@ -140,7 +140,7 @@ def require_nets_of_elements(named, elements):
         assert tuple(nets) == element.ends
 
 
-def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
+def test_the_sheet_has_the_connections_of_the_deck(written, files, deck):
     """A pin is on the wire, label or ground that stands at its end."""
     named = nets_of_sheet(written, files, "loop")
     require_nets_of_elements(named, deck.scope.elements)
@@ -150,7 +150,7 @@ def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["buzzer_self", "harvester_bridge", "kick_and_catch"])
-def test_the_sheets_of_scenes_join_what_their_decks_join(name, tmp_path):
+def test_the_sheets_of_scenes_have_the_connections_of_their_decks(name, tmp_path):
     built = device.built(load_scene(name), device.chip(), device.magnets(), others=True)
     deck = make_deck(built)
     files = write_symbol_files(deck)
@@ -164,7 +164,7 @@ def test_the_sheets_of_scenes_join_what_their_decks_join(name, tmp_path):
 # ---------------------------------------------------------------------------------- LTspice
 
 
-def test_ltspice_reads_what_the_library_declares(written, deck):
+def test_ltspice_reads_the_pins_and_parameters_of_a_library(written, deck):
     for part in deck.parts:
         stem = part.filename.removesuffix(".lib")
         read = asy_reader.AsyReader(written / f"{stem}.asy")

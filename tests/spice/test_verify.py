@@ -291,7 +291,7 @@ points = 3
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("key", "passed"), [("", True), ('frequency = "1 kHz"', False)])
-def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_path):
+def test_eddy_currents_are_resolved_to_twice_the_highest_frequency(key, passed, tmp_path):
     """Whatever the part's own key says."""
     (tmp_path / "eddy.toml").write_text(EDDY.format(key=key))
     scene = load_scene(tmp_path / "eddy.toml")
@@ -304,7 +304,7 @@ def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_p
 
 
 @pytest.mark.parametrize("faster", [1.0, 1.02])
-def test_a_launch_that_is_off_fails_whatever_a_sharp_resonance_is_off(faster, model):
+def test_a_wrong_launch_fails_despite_a_large_pointwise_error(faster, model):
     """An undamped chip is pointwise off by 50; its launch may not be off by 2 % for that."""
     certificate = dataclasses.replace(model.certificate, error_estimate=50.0)
     vague = dataclasses.replace(model, certificate=certificate)

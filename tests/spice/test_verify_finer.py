@@ -85,7 +85,7 @@ def discretisations(schema, prefix=""):
 
 
 @pytest.mark.parametrize("name", type_names())
-def test_verify_knows_each_key_that_makes_a_model_finer(name):
+def test_verify_refines_each_key_of_a_discretisation(name):
     kind = find_part_type(name)
     assert set(discretisations(kind.schema)) <= set(kind.discretisations)
 

@@ -136,7 +136,7 @@ REFUSED = [
 ]  # fmt: skip
 
 
-def test_what_a_module_cannot_say_is_refused():
+def test_constructs_that_a_module_lacks_are_rejected():
     for card in REFUSED:
         with pytest.raises(UsageError) as caught:
             print_module(part_of(card))

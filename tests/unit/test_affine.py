@@ -79,7 +79,7 @@ def fresh_values():
     return [*corners, *inside]
 
 
-def test_error_estimate_holds_at_corners_and_random_values(reduced):
+def test_the_error_estimate_is_valid_at_corners_and_random_values(reduced):
     estimate = reduced.certificate.error_estimate
     frequency, errors = np.linspace(0.01, BAND[1], 200), []
     for thickness, tip_mass in fresh_values():

@@ -60,7 +60,7 @@ def test_loading_a_scene_needs_no_plots_and_no_mesher():
     assert not {"gmsh", "PySpice", "matplotlib"} & set(loaded)
 
 
-def test_everything_promised_is_there_and_explains_itself():
+def test_every_public_name_exists_and_has_a_docstring():
     assert set(CONTRACT) <= set(kc.__all__) <= set(dir(kc))
     for name in kc.__all__:
         assert inspect.getdoc(getattr(kc, name)), name
@@ -90,7 +90,7 @@ def test_ac_against_the_closed_form():
     np.testing.assert_allclose(result.waves["store.v"], wanted, rtol=1e-6)
 
 
-def test_saved_result_is_what_was_returned(tmp_path):
+def test_the_saved_result_equals_the_returned_result(tmp_path):
     result = kc.run(PULSE, tmp_path / "out")
     record = json.loads((tmp_path / "out" / "result.json").read_text())
     assert record["metrics"] == pytest.approx(dict(result.metrics))
@@ -232,7 +232,7 @@ def test_edited_deck_gets_the_metrics_of_its_scene(tmp_path):
     assert " 2k" in (tmp_path / "out" / path.name).read_text()
 
 
-def test_a_driver_in_the_place_of_a_source_is_not_held_against_its_keys(tmp_path):
+def test_a_driver_that_replaces_a_source_is_not_compared_with_its_keys(tmp_path):
     """The source's card stays as an ammeter; what it gave is no longer what drives."""
 
     def change(text):

@@ -88,7 +88,7 @@ def test_round_trip_is_bit_exact(outer):
         {"kind": "other"},
     ],
 )
-def test_a_change_of_what_it_depends_on_builds_again(change):
+def test_a_changed_dependency_builds_the_entry_again(change):
     base = {"kind": "kind", "key": {"kick": Chip()}}
     build = Builder(1)
     load_or_build(build=build, **base)
@@ -147,7 +147,7 @@ def test_a_full_disk_costs_time_only(folder):
     assert not [path for path in folder.rglob("*") if path.is_file()]
 
 
-def test_two_that_need_the_same_build_it_once(folder):
+def test_two_processes_build_a_common_entry_once(folder):
     """One builds, the other waits for it, be they threads or processes."""
     code = (
         "import sys, time\n"

@@ -47,12 +47,12 @@ def test_arrays_come_back():
     [("crash", "crash"), ("fill", "2 GB of memory"), ("fail", "line break"), ("leave", "answer"),
      ("odd", "is a Python object")],
 )  # fmt: skip
-def test_whatever_goes_wrong_is_an_error(name, message):
+def test_every_fault_is_an_error(name, message):
     with pytest.raises(ValueError, match=message):
         ask(name)
 
 
-def test_errors_keep_what_they_say():
+def test_errors_are_unchanged_by_pickling():
     with pytest.raises(UsageError) as caught:
         ask("refuse")
     error = caught.value
@@ -63,7 +63,7 @@ def test_errors_keep_what_they_say():
         ask("unread")
 
 
-def test_nothing_outlives_who_asked(tmp_path):
+def test_no_child_process_outlives_its_parent(tmp_path):
     """Even one that is killed on the spot."""
     script = (
         "import sys; from pathlib import Path\n"

@@ -40,7 +40,7 @@ LATE = {"numpy", "scipy", "pydantic", "jinja2"}
     ],
     ids=["help", "run with cached models", "its body"],
 )
-def test_what_answers_at_once_loads_nothing_heavy(module, heavy):
+def test_fast_commands_load_no_slow_modules(module, heavy):
     """Few imports keep ``--help`` and a run with another gain quick."""
     code = f"import sys, kc2spice.{module}; print(sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -81,7 +81,7 @@ def test_a_result_is_printed_as_tables(capsys):
         assert word in text
 
 
-def test_a_result_leads_with_its_answer(capsys):
+def test_a_result_begins_with_its_verdict(capsys):
     """Verdict, metrics with units and error estimate, and the path of the report in 15 lines."""
     passed = {"name": "energy", "passed": True, "value": 0.0, "limit": 1e-3, "unit": ""}
     band = {"name": "band of kick", "passed": False, "value": 4.06e5, "limit": 3e5, "unit": "Hz"}
@@ -182,7 +182,7 @@ def test_explain(cli):
     assert [part["part"] for part in found["parts"]] == ["impact", "kick", "contact", "sphere"]
 
 
-def test_doctor_finds_what_is_missing(cli, monkeypatch, tmp_path):
+def test_doctor_lists_missing_programs(cli, monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     done = cli("doctor")
     assert done.exit_code == 3

@@ -22,7 +22,7 @@ def test_two_masses_on_a_rigid_bar_are_one():
         np.testing.assert_allclose(small.transfer(s)[:, :, 0], exact, rtol=1e-12)
 
 
-def test_a_basis_of_what_constraints_leave():
+def test_a_basis_of_motions_within_constraints():
     rng = np.random.default_rng(46)
     G = rng.standard_normal((4, 12))
     G[3] = G[0] - 2 * G[1]  # follows from two others
@@ -61,7 +61,7 @@ def test_infinite_poles_make_no_model_unstable(rank):
     assert np.abs(found - exact).max() <= 1e-4 * np.abs(exact).max()
 
 
-def test_what_answers_to_derivatives_of_its_input_stays_as_it_is():
+def test_models_that_respond_to_derivatives_are_unchanged():
     """A constraint that is driven, whose multiplier is seen."""
     A = np.array([[-1.0, -1.0], [1.0, 0.0]])
     model = LinearModel(A=A, E=np.diag([1.0, 0.0]), B=np.eye(2)[:, [1]], C=np.eye(2)[[1]])

@@ -292,7 +292,7 @@ def test_files_that_move_parts_of_a_mesh_are_refused(tmp_path, name, text, line)
     assert line in caught.value.got
 
 
-def test_elements_that_are_none_of_unv_are_refused(tmp_path):
+def test_elements_that_are_not_in_unv_are_rejected(tmp_path):
     """gmsh writes quadrilaterals of nine nodes as those of four, and reads only corners."""
     draw(tmp_path / "a.msh", "quad8")
     path = tmp_path / "a.unv"

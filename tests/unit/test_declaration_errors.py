@@ -54,7 +54,7 @@ def test_a_negative_power_is_a_quotient():
     ).direct_flow(HEAT[0])
 
 
-def test_an_unknown_part_type_tells_how_types_are_added():
+def test_an_unknown_part_type_states_how_to_add_types():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene({"name": "s", "c": {"part": "zzz"}})
     assert "register_part" in caught.value.hint

@@ -75,7 +75,7 @@ def test_numbers_differ_beyond_rounding_and_words_at_all(shown, printed, differs
 
 @pytest.mark.slow
 @pytest.mark.campaign
-def test_every_page_shows_what_its_commands_print():
+def test_every_page_contains_the_output_of_its_commands():
     found = []
     for page in docs_numbers.pages():
         found += map(str, docs_numbers.renewed(page)[1])

@@ -57,7 +57,7 @@ def without_own_type():
 
 @pytest.mark.usefixtures("without_own_type")
 @pytest.mark.parametrize(("module", "name", "text"), list(examples()))
-def test_example_prints_what_it_shows(module, name, text, tmp_path, monkeypatch):
+def test_an_example_prints_its_documented_output(module, name, text, tmp_path, monkeypatch):
     if name in NEEDED:
         pytest.importorskip(NEEDED[name])
     monkeypatch.chdir(tmp_path)

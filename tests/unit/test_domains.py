@@ -53,7 +53,7 @@ def test_the_power_on_a_pin_is_in_watts(domain):
 
 
 @pytest.mark.parametrize("domain", PORTS.values(), ids=lambda domain: domain.name)
-def test_units_of_answers_belong_to_the_inputs_of_ports(domain):
+def test_units_of_responses_follow_from_the_inputs_of_ports(domain):
     driven = domain.quantity(domain.driven).unit
     assert product(domain.compliance, driven) == dimension(domain.answer_unit)
     if domain.potential and domain.power == "across * through":  # the answer's rate flows
@@ -62,7 +62,7 @@ def test_units_of_answers_belong_to_the_inputs_of_ports(domain):
         assert domain.answer_unit == domain.across.unit
 
 
-def test_names_and_pairs_of_units_tell_domains_apart():
+def test_names_and_pairs_of_units_identify_domains():
     for names in ([d.name for d in TABLE], [d.units for d in TABLE], list(PORTS)):
         assert len(set(names)) == len(names)
     for domain in CONSERVATIVE:

@@ -477,7 +477,7 @@ def test_an_override_of_a_part_that_the_scene_lacks(divider):
         ),
     ],
 )
-def test_options_quote_what_was_typed(cli, words, head, got, expected):
+def test_errors_of_options_quote_the_typed_text(cli, words, head, got, expected):
     done = cli(*words)
     assert done.exit_code == 2
     rows = [line.split() for line in done.stderr.splitlines()]

@@ -99,7 +99,7 @@ def test_loads_that_cancel_count_by_themselves():
     assert time_errors(body(1e-4), exact, t, load, groups)["anode"] < 5e-3
 
 
-def test_the_last_change_ends_what_is_compared():
+def test_waves_are_compared_until_the_last_change():
     load = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 1.0 + 1e-12], [1.0, 1.0]])
     assert last_change(load) == 1
     assert last_change(np.ones((3, 2))) == 0

@@ -37,7 +37,7 @@ def test_joined_pins_share_a_net(scene_file):
     )
 
 
-def test_joins_hold_in_both_directions_and_over_others():
+def test_connections_apply_in_both_directions_and_through_other_pins():
     """a to b and c to b is one net of three, whoever says so."""
     tables = {
         "a": {"part": "resistor", "resistance": 1.0, "pins": {"a": "b.a"}},

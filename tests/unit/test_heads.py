@@ -67,7 +67,7 @@ def test_the_instance_of_a_head_has_the_pins_and_parameters_of_its_subcircuit(pa
         assert use.parameters == circuit.defaults
 
 
-def test_the_instance_of_a_helper_runs_as_it_is_copied(tmp_path):
+def test_the_copied_instance_line_of_a_helper_runs(tmp_path):
     path = NETLISTS / "kick_and_catch" / "amplifier.lib"
     whole = read_cards(path.read_text("utf-8"), path.name)
     (helper,) = (c for c in whole.subcircuits if c.name == "amplifier_opamp_slew")
@@ -93,6 +93,6 @@ def test_changed_parameters_change_the_instance_and_the_facts():
     assert {p.name: p.default for p in sphere.params}["radius"] == 2e-3
 
 
-def test_no_sign_line_speaks_of_a_chip_in_a_scene_without_one():
+def test_sign_comments_mention_a_chip_only_if_there_is_one():
     for part in kc.deck("newtons_cradle").parts:
         assert "chip" not in part.text

@@ -32,7 +32,7 @@ def random_network(seed, modes):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_the_ladder_of_a_random_network_is_positive_and_answers_alike(seed):
+def test_the_ladder_of_a_random_network_is_positive_and_equivalent(seed):
     network = random_network(seed, 1 + seed)
     ladder = network.ladder()
     assert (ladder.resistance > 0).all()
@@ -64,7 +64,7 @@ def test_equal_time_constants_are_one_mode():
     assert len(network.ladder().capacity) == 2
 
 
-def test_a_ladder_is_recognised_by_its_matrices_and_nothing_else_is():
+def test_only_ladder_matrices_are_recognised_as_a_ladder():
     network = random_network(4, 5)
     ladder = network.ladder()
     found = heat_ladder(ladder.linear(PORT))

@@ -32,7 +32,7 @@ def bound_names(node):
     return []
 
 
-def test_module_names_occur_twice_for_parallel_roles_alone():
+def test_module_names_occur_twice_only_for_parallel_roles():
     stems = Counter(path.stem.lstrip("_") for path in MODULES if not path.stem.startswith("__"))
     assert {stem for stem, count in stems.items() if count > 1} == PARALLEL_MODULES
 
@@ -47,7 +47,7 @@ def test_public_names_have_one_meaning():
     assert not several
 
 
-def test_identifiers_say_what_a_value_is():
+def test_identifiers_describe_values():
     found = []
     for path, tree in MODULES.items():
         place = path.relative_to(ROOT).as_posix()

@@ -83,7 +83,7 @@ def graph():
     return {name: others - {name} for name, others in found.items()}
 
 
-def test_every_package_imports_what_it_may_and_needs():
+def test_every_package_imports_only_allowed_packages():
     assert graph() == {name: set(others.split()) for name, others in MAY.items()}
 
 

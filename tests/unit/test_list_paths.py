@@ -54,7 +54,7 @@ def test_entries_are_swept_and_drawn():
         ("beam.[0]=1 mm", ("not the name of a key",)),
     ],
 )
-def test_what_is_wrong_with_a_path_is_said(text, words):
+def test_errors_of_a_path_state_the_fault(text, words):
     from support import load_scene
 
     with pytest.raises(UsageError) as caught:

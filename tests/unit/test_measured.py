@@ -60,7 +60,7 @@ def test_touchstone_as_scikit_rf_reads_it(tmp_path, form, ports):
     assert np.abs(found.Y - other.y).max() < 1e-9 * np.abs(other.y).max()
 
 
-def test_tables_of_many_forms_say_the_same(tmp_path):
+def test_tables_of_many_forms_have_equal_results(tmp_path):
     Y, path = admittance(), tmp_path / "a.csv"
     Z, angle = 1 / Y, np.angle(1 / Y)
     given = [
@@ -81,7 +81,7 @@ def test_tables_of_many_forms_say_the_same(tmp_path):
 
 
 @pytest.mark.slow
-def test_matlab_files_say_what_tables_say(tmp_path):
+def test_matlab_files_and_tables_have_equal_results(tmp_path):
     """Real vectors under names of columns; complex ones, of several ports as MATLAB has them."""
     Y = admittance()
     Z = 1 / Y

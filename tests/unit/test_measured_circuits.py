@@ -174,7 +174,7 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     assert leak > 1e8 * np.abs(1 / Y[0])
 
 
-def test_a_capacitor_alone_is_one():
+def test_a_single_capacitor_is_fitted_as_a_capacitor():
     f = np.geomspace(10, 1e4, 40)
     model, left = fit_one_port(f, 2j * np.pi * f * 33e-12, 1e-6)
     assert left < 1e-9

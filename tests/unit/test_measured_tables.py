@@ -112,7 +112,7 @@ def test_commas_between_thousands_and_before_decimals(tmp_path):
         ("freq (Hz),Cp (MF),D", "milli or mega"),
     ],
 )
-def test_what_is_not_clear_is_refused_by_name(tmp_path, header, words):
+def test_ambiguous_columns_are_rejected_by_name(tmp_path, header, words):
     path = tmp_path / "doubtful.csv"
     path.write_text(header + "\n" + lines(F, Z.real, Z.imag))
     with pytest.raises(kc.errors.UsageError, match=words):
@@ -189,7 +189,7 @@ def test_noise_is_that_of_the_measured_quantity(tmp_path):
     assert found.admittance_noise[0] == pytest.approx(spread, rel=0.1)
 
 
-def test_the_command_prints_what_it_understood(tmp_path):
+def test_the_command_prints_its_interpretation_of_the_file(tmp_path):
     path = tmp_path / "part.csv"
     path.write_text("f,R (Ohm),-X (Ohm)\n" + lines(F, PART.real, -PART.imag))
     done = CliRunner().invoke(app, ["reduce", str(path), "-o", str(tmp_path / "out")])

@@ -22,7 +22,7 @@ BEAM = {
 }
 
 
-def test_air_on_a_clamped_plate_is_at_least_what_lamb_found():
+def test_the_air_mass_on_a_clamped_plate_is_at_least_that_of_lamb():
     """Lamb, Proc. R. Soc. A 98 (1920) 205: fluid on one side of a clamped plate lowers its first
     frequency by ``(1 + 0.6689 rho a / (rho_p h))^-1/2``; air is on both. The estimate is a bound,
     as a plate that bends moves less air than a rigid disc."""
@@ -59,7 +59,7 @@ def test_strain_enters_a_glued_layer_over_the_stated_length():
     assert found == pytest.approx(_neglected.shear_transfer_length(below, above), rel=0.01)
 
 
-def test_explain_lists_what_a_body_leaves_out(tmp_path):
+def test_explain_lists_the_neglected_effects_of_a_body(tmp_path):
     (tmp_path / "s.toml").write_text("""
 [disc]
 part = "disc"

@@ -69,7 +69,7 @@ def laws(circuit):
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_a_library_is_the_same_when_it_is_printed_anew(path):
+def test_printing_a_library_again_gives_the_same_text(path):
     text = path.read_text()
     tree = read_cards(text, path.name)
     printed = Printer().file(tree)

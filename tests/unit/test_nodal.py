@@ -43,7 +43,7 @@ def test_a_ladder_answers_as_its_impedances(stages):
     np.testing.assert_allclose(found, exact, rtol=1e-12)
 
 
-def test_what_is_not_linear_is_refused():
+def test_nonlinear_circuits_are_rejected():
     (circuit,) = read_cards(".subckt d a b\nD1 a b x\n.ends d\n", "d").subcircuits
     with pytest.raises(UsageError, match="this element is not linear"):
         NodalCircuit(circuit).equations({}, ["b"], {})

@@ -141,7 +141,7 @@ def test_a_kill_between_two_renames_never_leaves_a_mixture(kill_at, tmp_path, mo
     assert {path.read_text() for path in out.iterdir()} == {"third"}
 
 
-def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_path):
+def test_only_work_directories_of_ended_runs_are_deleted(tmp_path):
     out = tmp_path / "out"
 
     def die():
@@ -158,7 +158,7 @@ def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_
         assert living.exists()
 
 
-def test_what_is_not_ours_stays_where_it_is(tmp_path):
+def test_files_of_other_programs_are_not_deleted(tmp_path):
     """Hidden directories of the user, also under a name that is a pattern."""
     theirs = tmp_path / ".mine.part"
     theirs.mkdir()
@@ -174,7 +174,7 @@ def record(work, *files):
         (work / name).touch()
 
 
-def test_a_crafted_record_deletes_nothing_else(tmp_path):
+def test_a_manipulated_record_deletes_no_other_files(tmp_path):
     out, precious = tmp_path / "out", tmp_path / "precious"
     precious.touch()
     out.mkdir()
@@ -206,7 +206,7 @@ def test_files_that_a_foreign_record_lists_stay(tmp_path):
     assert (tmp_path / "thesis.txt").read_text() == "four years of work"
 
 
-def test_an_export_spares_what_another_deck_there_includes(tmp_path):
+def test_an_export_does_not_overwrite_files_of_another_deck(tmp_path):
     """An export overwrites its earlier deck, but no library of another scene's deck."""
 
     def exported(name, radius):
@@ -223,7 +223,7 @@ def test_an_export_spares_what_another_deck_there_includes(tmp_path):
     exported("fall", 2e-3)
 
 
-def test_so_do_a_run_a_saved_result_and_a_reduced_model(tmp_path):
+def test_errors_of_runs_saved_results_and_reduced_models_are_readable(tmp_path):
     fall = {"name": "fall", "sphere": {"radius": 1e-3}, "solver": {"stop": 1e-3}}
     own = tmp_path / "own.cir"
     own.write_text("mine\n.inc 'sphere.lib'\n.include lump.lib\n.end\n")

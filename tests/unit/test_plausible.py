@@ -6,7 +6,7 @@ import pytest
 from support import Cap, Chip, PulseKeys, UsageError, bimorph, load_scene, mass, plausible_range_of
 
 
-def test_they_may_be_run_all_the_same():
+def test_trusted_commands_in_netlists_run():
     override = "catch.wire_diameter=0.2 mm"
     with pytest.warns(UserWarning, match="do not fit"):
         load_scene("kick_and_catch", [override, "checks.plausible=warn"])
@@ -39,7 +39,7 @@ BODIES = [
 
 
 @pytest.mark.parametrize(("tables", "key", "got", "why"), BODIES)
-def test_every_body_is_held_against_what_exists(tables, key, got, why):
+def test_every_body_is_compared_with_an_independent_result(tables, key, got, why):
     """The key, the number as it was read and, where a unit slipped, the one that was meant."""
     with pytest.raises(UsageError) as refused:
         load_scene(tables)
@@ -56,7 +56,7 @@ def test_every_body_is_held_against_what_exists(tables, key, got, why):
 @pytest.mark.parametrize(
     ("drive", "rated", "word"), [("8 kV", "7.5 kV", "may depolarise"), ("80 mV", "1 kV", "80 V")]
 )
-def test_a_drive_that_may_be_meant_is_told_before_the_run(drive, rated, word):
+def test_an_unusual_drive_prints_a_warning_before_the_run(drive, rated, word):
     with pytest.warns(UserWarning, match=word):
         load_scene(slips(drive=drive, rated_voltage=rated))
     with warnings.catch_warnings():

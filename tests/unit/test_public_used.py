@@ -52,7 +52,7 @@ def imported(tree: ast.Module) -> Iterator[str]:
             yield node.value.partition(":")[0]  # a module that is called in a child
 
 
-def test_everything_public_is_used_by_the_package_itself():
+def test_every_public_name_is_used_in_the_package():
     root = PACKAGE.parent
     trees = {
         ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): ast.parse(

@@ -85,7 +85,7 @@ def test_a_block_of_the_wrong_sign_is_refused():
         random_factor(sparse.csc_array(matrix))
 
 
-def test_large_matrices_know_their_inertia(monkeypatch):
+def test_factors_of_large_matrices_have_the_correct_inertia(monkeypatch):
     monkeypatch.setattr(factors, "DISSECTION_UNKNOWNS", 100)
     matrix = piezo((9, 8))
     factor = factorise_quasi_definite(matrix)

@@ -28,14 +28,14 @@ CONTACT = declare_contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1
     ],
     ids=lambda part: part.name,
 )
-def test_what_is_written_is_read(part, tmp_path):
+def test_written_files_are_read_without_loss(part, tmp_path):
     (tmp_path / part.filename).write_text(part.text)
     (found,) = read_lib(tmp_path / part.filename)
     assert (found.name, found.pins, found.params) == (part.name, part.pins, part.params)
     assert found.text == part.text
 
 
-def test_libraries_of_others_have_what_their_cards_say(tmp_path):
+def test_libraries_of_other_authors_are_read_from_their_cards(tmp_path):
     text = "* theirs\n.subckt amp in out PARAMS: gain=1k\nXi in out inner\n.ends\n"
     (tmp_path / "amp.lib").write_text(text + ".subckt inner a b\nR1 a b 1\n.ends\n")
     (found,) = read_lib(tmp_path / "amp.lib")
@@ -73,7 +73,7 @@ def test_parameters_outside_their_range_are_refused():
 
 
 @pytest.mark.parametrize("separator", ["\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029"])
-def test_a_comment_ends_only_where_a_simulator_ends_it(separator, tmp_path):
+def test_comments_end_as_in_simulators(separator, tmp_path):
     """``str.splitlines`` breaks lines at these characters; ngspice does not."""
     path = tmp_path / "own.lib"
     text = f".subckt own a b\n* from a data sheet{separator}R2 broken\nR1 a b 1k\n.ends\n"

@@ -411,7 +411,7 @@ def labelled(tmp_path):
     return lambda text: read_model(tmp_path / "m.npz", sidecar(tmp_path, text))
 
 
-def test_the_mesh_tells_the_size_that_reports_draw(labelled, tmp_path):
+def test_reports_draw_the_size_of_the_mesh(labelled, tmp_path):
     labelled('mesh="mesh.inp"\nlength="mm"\n' + TIP)
     np.testing.assert_allclose(mesh_extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
 
@@ -551,7 +551,7 @@ def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
         ),
     ],
 )
-def test_models_that_are_none(tmp_path, matrices, words):
+def test_files_that_are_not_models_are_rejected(tmp_path, matrices, words):
     refused(write_family(tmp_path, **{"B": np.ones((N, 1))} | matrices), *words)
 
 

@@ -69,7 +69,7 @@ def test_a_run_calls_each_method_at_most_twice_for_each_part(name, monkeypatch, 
     assert not above
 
 
-def test_a_scene_asks_each_part_once_while_it_is_loaded(monkeypatch):
+def test_loading_a_scene_calls_each_method_of_a_part_once(monkeypatch):
     calls = count_calls(monkeypatch)
     scene = kc.load_scene("kick_and_catch")
     once = (

@@ -161,7 +161,7 @@ def test_hankel_singular_values_are_those_of_the_gramians():
         kc.Reduction(undamped, band=(0, 0.1)).hankel  # noqa: B018
 
 
-def test_given_points_are_interpolated_with_their_slopes():
+def test_points_are_interpolated_with_their_slopes():
     """The projection has the response and its slope at each point, as direct solutions do."""
     matrices = families.chain(40)
     model, points = kc.LinearModel(**matrices), [0.0, 0.03, 0.08]

@@ -70,7 +70,7 @@ def test_balanced_truncation_is_between_its_bounds_by_hankel_singular_values():
         assert hankel[order] * (1 - 1e-6) <= error <= 2 * hankel[order:].sum() * (1 + 1e-6)
 
 
-def test_balancing_over_the_band_leaves_out_what_the_band_does_not_see():
+def test_balancing_over_the_band_removes_states_without_effect_in_the_band():
     """Two oscillators. The one with the higher peak, 110 of 50 m/N, is far above the band."""
     omega, gains = np.array([1.0, 40.0]), np.array([1.0, 60.0])
     matrices = {"M": np.eye(2), "E": np.diag(0.02 * omega), "K": np.diag(omega**2),
@@ -175,7 +175,7 @@ def test_a_registered_method_is_certified_like_all_others():
 
 
 @pytest.mark.usefixtures("own_method")
-def test_a_method_that_does_not_apply_or_exist_is_an_error_that_says_so():
+def test_a_method_that_does_not_apply_or_exist_is_a_clear_error():
     heat = kc.LinearModel(A=-np.diag([1.0, 2.0]), B=np.ones((2, 1)), C=np.ones((1, 2)))
     with pytest.raises(UsageError, match="does not apply"):
         kc.reduce(heat, tolerance=1e-3, band=(0, 1), method="modal truncation")

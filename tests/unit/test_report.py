@@ -71,7 +71,7 @@ def test_two_keys_of_one_label_name_their_quantities() -> None:
     assert list(rows) == expected
 
 
-def test_words_take_no_prefix():
+def test_words_get_no_prefix():
     assert format_quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
     assert format_quantity(0.8, "mm") == "800 µm"
     assert format_quantity(50.0, "mm") == "50 mm"

@@ -17,7 +17,7 @@ def outline(overrides):
     return scene, [shape for shape in part.type.outline(part, scene) if shape.kind == "metal"]
 
 
-def test_a_disc_is_drawn_where_it_begins():
+def test_a_disc_is_drawn_at_its_start_position():
     scene, (disc,) = outline({})
     # 65 mm radius, 3 mm thickness, position 3.8 mm: the values of the scene's file
     assert astuple(disc)[:4] == pytest.approx((0.0, 3.8e-3, 0.13, 3e-3))

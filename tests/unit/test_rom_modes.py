@@ -34,7 +34,7 @@ RATIOS = {"undamped": 0.0, "light": 0.01, "critical": 1.0, "nearly critical": 1 
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_modes_answer_loads_that_are_linear_between_the_times(name):
+def test_modes_respond_to_piecewise_linear_loads(name):
     """Against scipy's ``lsim``; steps of a thousandth of a radian to three, and a block's end."""
     n, h = 4098, 0.1  # one step more than a block
     t = h * np.arange(n)
@@ -57,7 +57,7 @@ def test_modes_answer_loads_that_are_linear_between_the_times(name):
 # ----------------------------------------------------------------------------- without inertia
 
 
-def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
+def test_the_certificate_states_where_inertia_ends_and_its_error():
     model = modes([0.5, 100.0], [2.0, 9.0], ratio=0.05)
     certificate = dataclasses.replace(CERTIFICATE, above=((2.0, 0.1), (4.0, 0.2), (8.0, 0.3)))
     model = dataclasses.replace(model, certificate=certificate)

@@ -28,12 +28,12 @@ def chain(n, dashpot, **more):
         ({"order": 3, "band": (0.0, 1e300)}, "not a frequency band"),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused(asked, says):
+def test_impossible_requests_are_rejected(asked, says):
     with pytest.raises(UsageError, match=says):
         reduce_model(chain(20, dashpot=0.3), **asked)
 
 
-def test_the_band_is_that_asked_for_or_the_models_own():
+def test_the_band_is_the_requested_band_or_that_of_the_model():
     model = chain(20, dashpot=0.3, band=(0.0, 0.02))
     assert reduce_model(model, order=4).certificate.band_hz == (0.0, 0.02)
     assert reduce_model(model, order=4, band=(0.0, 0.03)).certificate.band_hz == (0.0, 0.03)
@@ -82,7 +82,7 @@ def test_static_answers_of_mechanical_ports_are_exact(kind, least):
 # ---------------------------------------------------------------------------------- structure
 
 
-def test_what_the_form_proves():
+def test_the_form_of_matrices_proves_stability_and_passivity():
     band, n = (0.0, 1.0), 3
     one, zero, skew = np.eye(n), np.zeros((n, n)), np.eye(n, k=1) - np.eye(n, k=-1)
     stand = {"B": one, "C": one, "D": zero}

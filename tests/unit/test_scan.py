@@ -175,7 +175,7 @@ def test_the_line_is_named(user):
     assert "--trust" in str(caught.value.hint)
 
 
-def test_trust_takes_the_circuit_as_it_is(user):
+def test_trust_does_not_change_the_circuit(user):
     found = user({"user.lib": AMPLIFIER + ".control\n.endc\n"}, trust=True)
     assert ".control" in found.text
 
@@ -188,7 +188,7 @@ def test_included_files_come_along_and_are_scanned(user):
         user(main | {"models/amp.lib": AMPLIFIER + ".control\n"})
 
 
-def test_paths_count_from_the_file_they_stand_in(user):
+def test_paths_are_relative_to_their_file(user):
     text = user({
         "user.cir": "* user\n.include models/amp.lib\nV1 a 0 1\nR2 c 0 1\nX1 a 0 c amp\n",
         "models/amp.lib": ".include inner.lib\n" + AMPLIFIER,
@@ -220,7 +220,7 @@ def test_no_include_is_left_for_the_simulator(card, user):
     assert ".inc" not in text.lower()
 
 
-def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
+def test_a_circuit_includes_files_of_its_folder(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "user.cir").write_text(".include inner.lib\n")
     (tmp_path / "sub" / "inner.lib").write_text(".param a=1\n")
@@ -230,7 +230,7 @@ def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
     assert (found.file, found.text) == ("user.cir", expected)
 
 
-def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
+def test_files_beside_a_scene_have_precedence(tmp_path):
     (tmp_path / "user.cir").write_text(".control\n.endc\n")
     with pytest.raises(UsageError, match="control"):
         read_included_netlist("user.cir", tmp_path)
@@ -250,7 +250,7 @@ MULTIPLIED = {f"{i}.lib": f".include {i + 1}.lib\n" * 2 for i in range(10)}
         ({"user.cir": ".include .\n"}, "cannot include this"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_included_is_refused(files, said, user):
+def test_files_that_cannot_be_included_are_rejected(files, said, user):
     with pytest.raises(UsageError, match=said):
         user(files)
 
@@ -261,7 +261,7 @@ def test_what_cannot_be_included_is_refused(files, said, user):
      "~/x.lib", "$HOME.lib", "`id`.lib", "-x.lib", "x.lib ", "", "c:x.lib", "a\\b.lib",
      "x.lib\u2028"],
 )  # fmt: skip
-def test_names_in_a_scene_cannot_lead_elsewhere(name):
+def test_names_in_a_scene_cannot_leave_its_folder(name):
     assert explain_unsafe_name(name)
     home = load_scene("bring_your_own").home
     with pytest.raises(UsageError) as caught:
@@ -283,7 +283,7 @@ def test_links_do_not_lead_out(tmp_path):
         read_checked_circuit(home / "user.cir")
 
 
-def test_pins_are_looked_up_beside_the_scene_alone(tmp_path):
+def test_pins_are_read_only_from_files_beside_the_scene(tmp_path):
     """A scene is read before anybody said that its circuits are trusted."""
     (tmp_path / "outside.lib").write_text(".subckt mine a b c\nR1 a b 1\n.ends\n")
     home = tmp_path / "home"

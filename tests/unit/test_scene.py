@@ -207,7 +207,7 @@ def test_any_override_gives_a_scene_or_one_clear_error(overrides):
         assert len(scene_hash(scene)) == 16
 
 
-def test_ranges_in_which_a_simulator_would_step_on_the_spot():
+def test_ranges_with_steps_below_rounding_are_rejected():
     """Points that do not differ are refused; a decade has no more points than can be counted."""
     tables = {
         "name": "rc",

@@ -23,7 +23,7 @@ SMALL_SIGNALS = {"type": "ac", "start": "10 Hz", "stop": "100 kHz", "points": 20
 
 
 @pytest.mark.parametrize("analysis", [LOW_PASS["analysis"], SMALL_SIGNALS])
-def test_a_run_asks_each_part_for_its_law_once(analysis, monkeypatch):
+def test_a_run_calls_the_law_of_each_part_once(analysis, monkeypatch):
     """For the time step, its check after the simulation, the operating point and resonances."""
     scene, asked = load_scene({**LOW_PASS, "analysis": analysis}), Counter()
     for kind in {type(part.type) for part in scene.parts.values()}:

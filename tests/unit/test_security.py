@@ -108,7 +108,7 @@ def test_deep_overrides_are_refused():
             load_scene("impact", [text])
 
 
-def test_names_keep_to_their_directory(tmp_path):
+def test_names_cannot_leave_their_directory(tmp_path):
     for good in ("a.lib", "models/amp-2.lib", "two words.lib", "µF.lib", "./a.lib", "v1.0+x"):
         assert explain_unsafe_name(good) is None
     for bad in ("../a", "/a", "a/../../b", "a\nb", "a\0", "", "~/a", "c:a", "a\\..\\b", " a", "-a"):
@@ -173,7 +173,7 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_header_takes_no_line_break():
+def test_headers_reject_line_breaks():
     with pytest.raises(UsageError, match="this unit contains a blank or a line break"):
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
     params = (Param("k", 2.0, "N/m", EVIL), positive_parameter("c", 1e-9, "F", "size"))

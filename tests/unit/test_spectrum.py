@@ -29,7 +29,7 @@ def test_a_step_that_stays_has_one_edge():
     assert find_waveform_frequency(wave, 2e-3) == pytest.approx(BOTH_EDGES / 2 / 2e-3, rel=0.03)
 
 
-def test_a_low_pass_takes_what_it_does_not_let_through():
+def test_a_low_pass_absorbs_the_blocked_power():
     """A rectangle of the width w behind a time constant T has the spectrum ``sinc(f w)^2 / (1 +
     (2 pi f T)^2)``; ``exp(-t / T)`` the energy ``1 - (2 / pi) atan(2 pi F T)`` above F."""
     width, constant = 1e-6, 1e-5
@@ -46,7 +46,7 @@ def test_a_low_pass_takes_what_it_does_not_let_through():
     assert direct == pytest.approx(np.tan(0.999 * np.pi / 2) / (2 * np.pi * constant), rel=0.05)
 
 
-def test_sines_have_their_own_and_constants_none():
+def test_a_sine_has_its_frequency_and_a_constant_has_none():
     assert find_waveform_frequency(sine_waveform(1.0, 7e3), 1.0) == 7e3
     assert find_waveform_frequency(constant_waveform(3.0), 1.0) == 0.0
     assert find_waveform_frequency(linear_waveform([(2.0, 0.0), (3.0, 1.0)]), 1.0) == 0.0
@@ -61,7 +61,7 @@ def test_sines_have_their_own_and_constants_none():
         ({"type": "transient", "stop": 3e-4}, BOTH_EDGES / 2e-4),
     ],
 )
-def test_the_highest_frequency_of_a_scene_is_that_of_what_drives_it(analysis, exact):
+def test_the_highest_frequency_of_a_scene_is_that_of_its_drives(analysis, exact):
     width = 2e-4 if analysis.get("stop") == 3e-4 else 1.0
     scene = load_scene({
         "name": "driven",

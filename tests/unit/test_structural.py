@@ -305,7 +305,7 @@ def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where
         reduce_model(model, tolerance=1e-4, band=(1.0, 20.0), norm="peak")
 
 
-def test_a_body_that_is_free_to_move_states_which_supports_it_could_not_see():
+def test_a_free_body_states_which_supports_rounding_hides():
     model, exact, _ = supported_chain(40, 0.0, "all")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

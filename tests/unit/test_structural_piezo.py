@@ -92,7 +92,7 @@ def test_a_complex_stiffness_beside_electrodes_has_the_response_of_the_whole_mat
 
 @pytest.mark.filterwarnings("ignore:no causal model")
 @pytest.mark.parametrize("loss", [TWO_MATERIALS, np.full(MASSES, 1e-2)])
-def test_its_reduction_is_passive_with_an_error_estimate_that_holds(tmp_path, loss):
+def test_the_reduction_is_passive_with_a_valid_error_estimate(tmp_path, loss):
     K, M = matrices(loss)
     rom = kc.reduce(model_of(tmp_path, K, M), tolerance=1e-3, norm="peak")
     assert rom.certificate.passive

@@ -143,7 +143,7 @@ def test_parameters_of_subcircuits_share_a_netlist(sets, netlists):
 # --- studies ------------------------------------------------------------------------------------
 
 
-def test_a_study_of_your_own_is_a_file(tmp_path):
+def test_a_user_study_is_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('scene = "kick_and_catch"\nzip = true\n[set]\n"control.kd" = "10:20:3"\n')
     assert load_named_sweep(str(path)).plan.size == 3

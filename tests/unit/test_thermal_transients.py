@@ -267,6 +267,6 @@ def test_options_of_transients_do_not_apply_to_impedances(tmp_path, option):
         ("Trace th (deg)", ("phase", np.pi / 180)),
     ],
 )
-def test_units_tell_equal_letters_apart(text, meaning):
+def test_units_distinguish_equal_letters(text, meaning):
     title = read_title(text)
     assert (title.meaning.quantity, title.unit.value) == (meaning[0], pytest.approx(meaning[1]))

@@ -143,7 +143,7 @@ BAD = {
 
 @pytest.mark.filterwarnings("ignore:divide by zero")
 @pytest.mark.parametrize("case", BAD)
-def test_what_is_no_basis_is_an_error_that_names_the_method(case):
+def test_an_invalid_basis_is_an_error_with_the_method(case):
     function, problem, got = BAD[case]
     with pytest.raises(UsageError, match=problem) as caught:
         reduced(function)
@@ -154,7 +154,7 @@ def test_what_is_no_basis_is_an_error_that_names_the_method(case):
 
 
 @pytest.mark.parametrize("method", [np.eye(3), UserMethod, 3, UserMethod.basis])
-def test_what_is_no_method_is_an_error(method):
+def test_an_object_that_is_not_a_method_is_an_error(method):
     with pytest.raises(UsageError, match="not a reduction method"):
         kc.reduce(chain(), tolerance=1e-3, band=(0, 1e6), method=method)
     with pytest.raises(UsageError, match="not a reduction method"):
@@ -180,7 +180,7 @@ def test_an_unknown_method_lists_five_methods_and_states_where_new_ones_work():
 @pytest.mark.parametrize(
     ("outputs", "words"), [(1, "stable, passive"), (2, "stable, passivity not shown")]
 )
-def test_the_netlist_and_the_text_of_a_model_state_what_is_proven(outputs, words):
+def test_netlist_and_text_of_a_model_state_proven_properties(outputs, words):
     """A second output that is no force at the driven mass leaves no proof of passivity."""
     full = chain(1.0, 1.0)
     signals = kc.LinearModel(
@@ -194,7 +194,7 @@ def test_the_netlist_and_the_text_of_a_model_state_what_is_proven(outputs, words
     assert ("passivity not shown" in header) == (outputs == 2)
 
 
-def test_a_passive_model_says_so_in_its_text():
+def test_the_text_of_a_passive_model_states_passivity():
     assert repr(reduced(lambda task: task.project(static_and_modes(task)))).endswith(
         "stable, passive"
     )
@@ -231,7 +231,7 @@ def test_a_comparison_states_why_a_method_does_not_apply():
     assert undamped["block Krylov"] is None
 
 
-def test_a_comparison_states_what_a_user_method_refuses(monkeypatch):
+def test_a_comparison_states_why_a_user_method_does_not_apply(monkeypatch):
     monkeypatch.setattr(registry, "_reductors", dict(registry._reductors))
     method = kc.register_reductor(UserMethod(lambda task: None))
     rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))

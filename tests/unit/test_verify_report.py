@@ -59,7 +59,7 @@ def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
     assert all(e.largest < 1e-12 for e in back.values())
 
 
-def test_a_metric_without_unit_is_judged_by_itself_and_not_by_frequencies() -> None:
+def test_the_error_of_a_metric_without_unit_is_relative_to_itself() -> None:
     waves = Waveforms({"frequency": np.array([1.0, 1e5]), "z": np.array([2.0, 3.0])}, {})
     units = {"z": "Ohm"}
     ours = Solution(waves, {"coupling": 0.33, "least_ohm": 1e-4, "zero": 0.25})
@@ -71,7 +71,7 @@ def test_a_metric_without_unit_is_judged_by_itself_and_not_by_frequencies() -> N
     assert found["zero"] == 0.25
 
 
-def test_parts_that_have_a_metric_of_one_name_are_judged_each_by_its_own() -> None:
+def test_equal_metric_names_of_parts_are_checked_separately() -> None:
     """Of two throws one is right; alone, a part's metric has no name in front."""
     none = Waveforms({"time": np.arange(2.0)}, {})
     gate = Gate("speed", "speed_m_s", {"ngspice_vs_rom": 0.1})
