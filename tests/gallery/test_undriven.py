@@ -53,7 +53,7 @@ def test_a_cathode_that_is_grounded_by_name_and_a_part_of_the_drives_name():
     ],
     ids=["something is joined", "a source without ac", "grounded", "two bodies", "no body"],
 )  # fmt: skip
-def test_keys_with_unknown_requirements_are_rejected_before_a_run(parts):
+def test_an_ac_analysis_without_a_source_is_rejected_before_a_run(parts):
     with pytest.raises(UsageError, match="the ac analysis has no source") as caught:
         kc.deck(BODY | parts)
     assert "analysis" in str(caught.value)

@@ -44,7 +44,7 @@ def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
     assert analyse_impedance(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
 
 
-def test_higher_modes_and_losses_belong_to_the_residual():
+def test_higher_modes_and_losses_do_not_change_the_fitted_resonance():
     f = np.geomspace(300, 40e3, 800)
     s = 2j * np.pi * f
     second = 1 / (200 + s * 0.06 + 1 / (s * 0.6e-9))  # at 26.5 kHz

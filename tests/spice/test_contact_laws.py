@@ -92,7 +92,7 @@ def test_newtons_cradle_against_plain_equations(tmp_path):
     np.testing.assert_allclose(speeds[:, -1], plain.y[5:, -1], atol=1e-4)
 
 
-def test_a_hertz_contact_requires_the_modulus_of_unknown_bodies():
+def test_a_hertz_contact_requires_a_modulus_and_a_sphere_at_one_port():
     with pytest.raises(UsageError, match="modulus"):
         bounce(law="hertz")
     with pytest.raises(UsageError, match="only to a sphere at one port"):

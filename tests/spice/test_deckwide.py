@@ -73,7 +73,7 @@ OWN = {
 
 
 @pytest.mark.parametrize("text", OWN.values(), ids=OWN)
-def test_statements_about_a_netlist_in_its_header_are_read(text, tmp_path, monkeypatch):
+def test_harmless_statements_in_netlists_are_accepted(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deck = make_deck(built(load_scene(scene(tmp_path, text))))
     require_valid_wiring(deck)

@@ -314,7 +314,7 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         assert write_dialect_files(kc.deck(scene), dialect)
 
 
-def test_functions_with_a_corner_are_not_linear_sources():
+def test_a_law_with_a_step_is_not_linear():
     """A step has no slope on either side: its switching is all that it does."""
     stepped = Declaration(
         "stepped",
@@ -344,7 +344,7 @@ PUSHER = DeclaredPart(
 )
 
 
-def test_measured_quantities_supply_no_energy(monkeypatch):
+def test_a_measured_branch_supplies_no_energy(monkeypatch):
     """A mass under ``gain v`` goes ``gain v t^2 / 2 m``; the run's own balance holds."""
     monkeypatch.setitem(parttype._types, "pusher", PUSHER)
     pulse = {"high": 1.0, "width": 1.0, "edge": 1e-9, "start": 1e-6}

@@ -292,7 +292,7 @@ TREES = {  # of v = V(a,b) …, as ngspice 46 documents its functions
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
-def test_numbers_have_equal_values_in_all_spellings(dialect):
+def test_expressions_have_equal_values_in_all_spellings(dialect):
     known = {"if_": lambda test, yes, no: yes if test else no, "abs": abs, "exp": math.exp,
              "pow": pow, "max": max, "table": flat}  # fmt: skip
     for card, expected in TREES.items():

@@ -17,7 +17,7 @@ PRESSED = ("contact.shape=pressure", "sphere.elastic=true")
         ([*PRESSED, "sphere.radius=0.2 mm"], "contact.shape"),
     ],
 )
-def test_cases_without_a_model_are_rejected(keys, where):
+def test_keys_without_an_effect_on_the_sphere_are_rejected(keys, where):
     with pytest.raises(UsageError) as raised:
         load_scene("impact", keys)
     assert where in str(raised.value.where)

@@ -60,7 +60,7 @@ def test_ports_that_nothing_joins_are_in_the_export_and_work(chain, tmp_path):
     assert np.array(row.groups(), dtype=float) == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_run_neglects_the_effects_and_explain_lists_them(chain, tmp_path):
+def test_a_run_omits_unused_ports_and_explain_lists_them(chain, tmp_path):
     chain("run", "pushed.toml", "-o", "out", "-q")
     assert pins(tmp_path / "out" / "pushed_chain.lib") == ["left"]
     said = chain("explain", "pushed.toml")

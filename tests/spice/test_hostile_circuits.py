@@ -97,7 +97,7 @@ def test_nothing_is_touched_that_was_not_written_for_the_simulator(circuits):
 
 
 @pytest.mark.slow
-def test_the_trace_equals_a_run_without_the_trace(circuits):
+def test_a_trace_of_ngspice_detects_harmful_circuits(circuits):
     """The same circuits given to ngspice as they are: most of them act, and the judge sees it."""
     root, scenes = circuits
     acted = 0

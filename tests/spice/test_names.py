@@ -10,7 +10,7 @@ from support import UsageError, export_scene, load_scene, make_deck, read_lib, r
 import kc2spice as kc
 
 
-def test_parts_with_equal_joined_pin_names_keep_their_voltages(tmp_path, monkeypatch):
+def test_nets_with_similar_names_stay_separate(tmp_path, monkeypatch):
     """Both pins would be ``n_c_a``: 1 V and 2 V would be one net."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.lib").write_text(".subckt one c_a ref\nV1 c_a ref 1\nR1 c_a ref 1k\n.ends\n")

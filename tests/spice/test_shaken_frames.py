@@ -99,7 +99,7 @@ def test_masses_in_time_follow_coupled_equations():
 
 
 @pytest.mark.slow
-def test_the_power_of_a_harvester_does_not_depend_on_the_part_of_its_tip_mass():
+def test_a_tip_mass_as_a_separate_part_gives_the_same_power():
     """3 of 8 g as a part of its own are worth what they are worth as a key of the beam, with the
     same damping: as a ratio alone it would be that of another resonance."""
     band = {"type": "ac", "start": "50 Hz", "stop": "62 Hz", "points": 13, "scale": "linear"}
@@ -184,7 +184,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_impossible_values_are_rejected(name):
+def test_wrong_connections_in_frames_are_rejected(name):
     parts, problem, cure = REFUSED[name]
     with pytest.raises(UsageError, match=problem) as caught:
         load_scene(beam(**parts))

@@ -47,12 +47,12 @@ def test_arrays_come_back():
     [("crash", "crash"), ("fill", "2 GB of memory"), ("fail", "line break"), ("leave", "answer"),
      ("odd", "is a Python object")],
 )  # fmt: skip
-def test_every_fault_is_an_error(name, message):
+def test_every_fault_in_a_child_process_is_an_error(name, message):
     with pytest.raises(ValueError, match=message):
         ask(name)
 
 
-def test_errors_are_unchanged_by_pickling():
+def test_errors_of_child_processes_keep_their_content():
     with pytest.raises(UsageError) as caught:
         ask("refuse")
     error = caught.value

@@ -93,6 +93,6 @@ def test_changed_parameters_change_the_instance_and_the_facts():
     assert {p.name: p.default for p in sphere.params}["radius"] == 2e-3
 
 
-def test_sign_comments_mention_a_chip_only_if_there_is_one():
+def test_libraries_of_scenes_without_a_chip_do_not_mention_it():
     for part in kc.deck("newtons_cradle").parts:
         assert "chip" not in part.text

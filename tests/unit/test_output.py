@@ -158,7 +158,7 @@ def test_only_work_directories_of_ended_runs_are_deleted(tmp_path):
         assert living.exists()
 
 
-def test_files_of_other_programs_are_not_deleted(tmp_path):
+def test_directories_of_the_user_are_not_deleted(tmp_path):
     """Hidden directories of the user, also under a name that is a pattern."""
     theirs = tmp_path / ".mine.part"
     theirs.mkdir()
@@ -223,7 +223,7 @@ def test_an_export_does_not_overwrite_files_of_another_deck(tmp_path):
     exported("fall", 2e-3)
 
 
-def test_errors_of_runs_saved_results_and_reduced_models_are_readable(tmp_path):
+def test_runs_saved_results_and_reduced_models_protect_other_decks(tmp_path):
     fall = {"name": "fall", "sphere": {"radius": 1e-3}, "solver": {"stop": 1e-3}}
     own = tmp_path / "own.cir"
     own.write_text("mine\n.inc 'sphere.lib'\n.include lump.lib\n.end\n")

@@ -6,7 +6,7 @@ import pytest
 from support import Cap, Chip, PulseKeys, UsageError, bimorph, load_scene, mass, plausible_range_of
 
 
-def test_trusted_commands_in_netlists_run():
+def test_implausible_values_run_if_the_check_is_off():
     override = "catch.wire_diameter=0.2 mm"
     with pytest.warns(UserWarning, match="do not fit"):
         load_scene("kick_and_catch", [override, "checks.plausible=warn"])

@@ -28,7 +28,7 @@ CONTACT = declare_contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1
     ],
     ids=lambda part: part.name,
 )
-def test_written_files_are_read_without_loss(part, tmp_path):
+def test_written_libraries_are_read_without_loss(part, tmp_path):
     (tmp_path / part.filename).write_text(part.text)
     (found,) = read_lib(tmp_path / part.filename)
     assert (found.name, found.pins, found.params) == (part.name, part.pins, part.params)

@@ -28,7 +28,7 @@ def chain(n, dashpot, **more):
         ({"order": 3, "band": (0.0, 1e300)}, "not a frequency band"),
     ],
 )
-def test_impossible_requests_are_rejected(asked, says):
+def test_invalid_arguments_of_a_reduction_are_rejected(asked, says):
     with pytest.raises(UsageError, match=says):
         reduce_model(chain(20, dashpot=0.3), **asked)
 

@@ -230,7 +230,7 @@ def test_a_circuit_includes_files_of_its_folder(tmp_path):
     assert (found.file, found.text) == ("user.cir", expected)
 
 
-def test_files_beside_a_scene_have_precedence(tmp_path):
+def test_commands_in_included_netlists_are_rejected(tmp_path):
     (tmp_path / "user.cir").write_text(".control\n.endc\n")
     with pytest.raises(UsageError, match="control"):
         read_included_netlist("user.cir", tmp_path)

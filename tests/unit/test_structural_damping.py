@@ -36,7 +36,7 @@ def test_a_relaxing_stiffness_is_passive_at_all_frequencies():
     assert chi(np.array([1e12]))[0].real == pytest.approx(chi.instantaneous_factor, rel=1e-6)
 
 
-def test_a_stop_without_loss_is_a_spring():
+def test_a_stiffness_without_loss_is_constant():
     chi = relaxing_stiffness(0.0, 1e3, (0.0, 1e4), 1e-3)
     assert chi(2j * np.pi * np.array([1.0, 1e3])) == pytest.approx([1, 1])
 
