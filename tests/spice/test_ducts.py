@@ -1,5 +1,7 @@
 """Cavities, vents and tubes in ngspice against closed forms of the sound field."""
 
+import re
+import subprocess
 import warnings
 
 import numpy as np
@@ -170,6 +172,9 @@ def test_laws_and_netlists_agree(analysis, tmp_path):
                        "out_m3_s": {"of": "tube.flow_b"}}  # fmt: skip
     report = verify_scenes([load_scene(scene)], tmp_path)["scenes"]["duct"]
     assert report["passed"], [check for check in report["checks"] if not check["passed"]]
+    balance = [c["value"] for c in report["checks"] if c["name"].startswith("energy of the ref")]
+    assert len(balance) == (analysis == "transient")
+    assert all(value < 1e-8 for value in balance)  # what enters is stored, radiated or lost
 
 
 def test_a_sealed_box_has_an_operating_point(tmp_path):
@@ -221,3 +226,61 @@ def test_ducts_within_their_models_do_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_scene(driven(100.0, 2.5e3, duct={"part": "cavity", "volume": 1e-6}))
+
+
+def whole():
+    """A scene with every acoustic part."""
+    return driven(
+        100.0, 3e3, points=5,
+        housing={"part": "cavity", "volume": 1e-6},
+        vent={"part": "vent", "length": 2e-3, "radius": 1e-3, "end_b": "none",
+              "pins": {"a": "housing.a", "b": "tube.a"}},
+        tube={"part": "tube", "length": 0.02, "radius": 2e-3, "sections": 2,
+              "pins": {"b": "mouth.face"}},
+        mouth={"part": "radiation", "radius": 2e-3},
+        ear={"part": "listener"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", ["ngspice", "ltspice", "xyce", "verilog-a"])
+def test_every_dialect_has_the_acoustic_parts(dialect, tmp_path):
+    names = {path.name for path in kc.export(whole(), tmp_path, dialect=dialect)}
+    suffix = "va" if dialect == "verilog-a" else "lib"
+    parts = ("cavity", "vent", "tube", "radiation", "listener")
+    assert {f"{part}.{suffix}" for part in parts} <= names
+
+
+def test_a_library_alone_has_the_pressure_of_the_scene(tmp_path):
+    """The pin ``out`` of a listener in a deck without kc2spice, in Pa."""
+    scene = whole()
+    kc.export(scene, tmp_path)
+    deck = tmp_path / "alone.cir"
+    libraries = "\n".join(f".include {name}.lib" for name in ("radiation", "listener"))
+    deck.write_text(f"""alone
+{libraries}
+I1 0 face DC 0 AC 1
+X1 face 0 sound radiation
+X2 sound out 0 listener distance=0.5
+.ac lin 3 1k 2k
+.print ac vm(out)
+.end
+""")
+    log = subprocess.run(["ngspice", "-b", deck.name], cwd=tmp_path, capture_output=True, text=True)
+    values = re.findall(r"(?m)^\d+\s+(\S+e\S+)\s+(\S+e\S+)\s*$", log.stdout)
+    for frequency, pressure in values:
+        exact = float(frequency) * DENSITY * 1e-6 / 0.5
+        assert float(pressure) == pytest.approx(exact, rel=1e-4)
+    assert len(values) == 3
+
+
+def test_a_sweep_of_the_hole_moves_the_resonance():
+    scene = driven(500.0, 3.3e3, points=201, housing={"part": "cavity", "volume": 1e-6},
+                   hole={"part": "vent", "length": 2e-3, "radius": 1e-3,
+                         "pins": {"a": "housing.a"}})  # fmt: skip
+    scene["probes"] = {"tone_hz": {"of": "housing.pressure", "take": "argmax"}}
+    table = kc.sweep(scene, {"hole.radius": ["0.5 mm", "1 mm"]}, workers=1)
+    tones = table["tone_hz"]
+    ratio = np.sqrt((4 / (2e-3 + 1.6432e-3)) / (1 / (2e-3 + 0.8216e-3)))
+    assert tones[1] / tones[0] == pytest.approx(
+        ratio, rel=0.05
+    )  # more viscous mass in the small hole
