@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.parameters import PARAMETERS
+from kc2spice.cli.arguments import PARAMETERS
 from kc2spice.cli.tables import (
     INTERRUPTED_EXIT_CODE,
     PIPED_COLUMNS,

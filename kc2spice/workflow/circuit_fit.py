@@ -31,7 +31,7 @@ from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.workflow.fit_curves import Curve
+from kc2spice.workflow.fit_curves import MeasuredCurve
 from kc2spice.workflow.fit_keys import (
     compute_log_widths,
     find_resonances,
@@ -140,13 +140,13 @@ class CircuitFit:
 
     scene: Scene
     part: str
-    curves: Sequence[Curve]
+    curves: Sequence[MeasuredCurve]
     keys: Sequence[VariedKey]
     progress: Progress
     counted: list[int] = field(default_factory=lambda: [0])
 
     @property
-    def fitted_curves(self) -> list[Curve]:
+    def fitted_curves(self) -> list[MeasuredCurve]:
         """Curves that are not only predicted."""
         return [curve for curve in self.curves if not curve.predict]
 
@@ -166,7 +166,7 @@ class CircuitFit:
         """Return values of the keys by the dotted names that they have in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
-    def admittance(self, curve: Curve, values: Mapping[str, float]) -> np.ndarray:
+    def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of the scene of one curve."""
         self.counted[0] += 1
         self.progress("fit", None, f"response {self.counted[0]}")
@@ -289,7 +289,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     }
 
 
-def _describe_curve(curve: Curve, size: np.ndarray) -> dict[str, Any]:
+def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
     """Return a curve with the relative errors (n,) of its |Z|."""
     return {
         "data": Path(curve.data.where).name,
@@ -301,7 +301,7 @@ def _describe_curve(curve: Curve, size: np.ndarray) -> dict[str, Any]:
 
 
 def _match_resonances(
-    curve: Curve, before: np.ndarray, after: np.ndarray
+    curve: MeasuredCurve, before: np.ndarray, after: np.ndarray
 ) -> list[dict[str, float | None]]:
     """Return the resonances of the first curve: measured, of the scene and fitted."""
     data = curve.data

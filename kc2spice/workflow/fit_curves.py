@@ -45,11 +45,11 @@ class CurveKeys(Section):
 class CurveListKeys(Section):
     """All curves of a fit."""
 
-    curve: list[CurveKeys] = Field(min_length=1, description="Measured curves")
+    curve: list[CurveKeys] = Field(min_length=1, description="Measured curves, one table for each")
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class MeasuredCurve:
     """A measured admittance, the overrides of the scene, and whether it is only predicted."""
 
     data: MeasuredAdmittance
@@ -64,7 +64,7 @@ class Curve:
 
 def read_curves(
     data: Path | str | Sequence[Mapping[str, Any]], shunt: float | None = None
-) -> list[Curve]:
+) -> list[MeasuredCurve]:
     """Read curves from a TOML file, or from a list of entries with the same keys.
 
     Parameters
@@ -109,7 +109,7 @@ def read_curves(
 
 def _read_entries(
     entries: Sequence[CurveKeys], folder: Path, where: str, shunt: float | None
-) -> Iterator[Curve]:
+) -> Iterator[MeasuredCurve]:
     for k, entry in enumerate(entries):
         file = entry.file
         measured = (
@@ -117,7 +117,7 @@ def _read_entries(
         )
         if entry.band is not None:
             measured = _restrict(measured, entry.band, f"{where}: curve[{k}].band")
-        yield Curve(measured, entry.set, entry.predict)
+        yield MeasuredCurve(measured, entry.set, entry.predict)
 
 
 def _restrict(
