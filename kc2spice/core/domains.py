@@ -279,7 +279,8 @@ ACOUSTIC = Domain(
     word="pressure",
     response="flow",
     reference=AMBIENT,
-    path="an acoustic_resistor, an acoustic_mass or a pressure source between it and gnd",
+    path="an acoustic_resistor, an acoustic_mass, a vent, a radiation or a pressure source "
+    "between it and gnd",
     path_part="acoustic_resistor",
     adrift="no flow path connects {part} to the ambient pressure",
 )

@@ -63,10 +63,10 @@ def impedance(scene):
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_tube_is_a_lossy_line(radius, closed):
     """Narrow tubes are those of Crandall, wide ones have thin boundary layers."""
-    tube = {"part": "tube", "length": 0.1, "radius": radius, "closed": closed, "sections": 40}
+    tube = {"part": "tube", "length": 0.1, "radius": radius, "closed": closed, "sections": 24}
     omega, z = impedance(driven(30.0, 2e3, tube=tube))
     exact = line(omega, radius, 0.1, None if closed else 0.0)
-    # phase errors of 40 sections are (k l / 40)^2 / 24 and shift narrow resonances
+    # phase errors of 24 sections are (k l / 24)^2 / 24 and shift narrow resonances
     assert np.abs(z / exact - 1).max() < 0.08
     assert np.median(np.abs(z / exact - 1)) < 0.02
     # what dissipates, where no resonance amplifies the error of the phase
@@ -84,8 +84,8 @@ def test_a_narrow_tube_has_the_resistance_of_poiseuille():
 
 def test_an_organ_pipe_sounds_at_its_length_with_both_end_corrections():
     pipe = {"part": "tube", "length": 0.5, "radius": 0.01, "fluid": PLAIN, "end_a": "unflanged",
-            "end_b": "flanged", "sections": 300, "pins": {"b": "gnd"}}  # fmt: skip
-    scene = driven(100.0, 1200.0, points=4001, pipe=pipe)
+            "end_b": "flanged", "sections": 100, "pins": {"b": "gnd"}}  # fmt: skip
+    scene = driven(100.0, 1200.0, points=2001, pipe=pipe)
     omega, z = impedance(scene)
     effective = 0.5 + (0.6127 + 0.8216) * 0.01
     size = np.abs(z)
@@ -167,7 +167,7 @@ def test_laws_and_netlists_agree(analysis, tmp_path):
         wave = {"amplitude": FLOW, "frequency": "1 kHz"}
         scene["push"] = {"part": "source", "kind": "volume_velocity", "sine": wave}
         scene["analysis"] = {"type": "transient"}
-        scene["solver"] = {"stop": "3 ms", "reltol": 1e-5}
+        scene["solver"] = {"stop": "1 ms", "reltol": 1e-5}
     scene["probes"] = {"level_db": {"of": "ear.pressure", "take": "spl"},
                        "out_m3_s": {"of": "tube.flow_b"}}  # fmt: skip
     report = verify_scenes([load_scene(scene)], tmp_path)["scenes"]["duct"]

@@ -16,7 +16,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -367,7 +367,6 @@ stop = "3 kHz"
 class Tube(DuctPart):
     name, title = "tube", "long duct of many sections with losses"
     schema = TubeKeys
-    discretisations: ClassVar[tuple[str, ...]] = ("sections",)
     example = """
 [tube]
 part = "tube"
