@@ -130,7 +130,7 @@ def test_radiation_does_not_count_the_mass_of_the_air_twice(sides):
 
 def test_efficiency_is_radiated_over_electrical_power():
     """Below 100 Hz in a baffle: ``rho/(2 pi c) |sd dv/dt|^2`` over ``Re Z |i|^2``."""
-    parts = {"air": {"part": "radiation", "area": DRIVER["sd"]}}
+    parts = {"air": {"part": "radiation", "area": DRIVER["sd"]}, "ear": {"part": "listener"}}
     tables = scene({"le": 1e-3}, {"front": "air.face"}, parts)
     tables["analysis"] |= {"start": 20.0, "stop": 100.0}
     result = kc.run(tables)
@@ -139,6 +139,45 @@ def test_efficiency_is_radiated_over_electrical_power():
     radiated = RHO / (2 * np.pi * SOUND_SPEED) * np.abs(DRIVER["sd"] * s * speed) ** 2
     expected = radiated / (z.real * np.abs(result.waves["speaker.i"]) ** 2)
     np.testing.assert_allclose(result.metrics["efficiency"], expected, rtol=3e-3)
+
+
+def test_the_electrical_power_is_that_of_all_losses_and_of_the_sound():
+    """``Re(u i*) = re |i|^2 + rms |v|^2 + Re(p q*)`` in a vented box."""
+    fluid = {"density": RHO, "sound_speed": SOUND_SPEED}
+    parts = {
+        "ahead": {"part": "radiation", "area": DRIVER["sd"], "fluid": fluid},
+        "box": {"part": "cavity", "volume": 20e-3, "fluid": fluid},
+        "port": {"part": "vent", "area": 2e-3, "length": 0.1, "losses": False, "fluid": fluid,
+                 "end_b": "none", "pins": {"a": "box.a", "b": "mouth.face"}},
+        "mouth": {"part": "radiation", "area": 2e-3, "fluid": fluid},
+    }  # fmt: skip
+    tables = scene({"le": 1e-3}, {"front": "ahead.face", "rear": "box.a"}, parts)
+    tables["analysis"] |= {"stop": 90.0}
+    w = kc.run(tables).waves
+    speed = 2j * np.pi * w["frequency"].real * w["speaker.x"]
+    lost = DRIVER["re"] * np.abs(w["speaker.i"]) ** 2 + DRIVER["rms"] * np.abs(speed) ** 2
+    for part in ("ahead", "mouth"):
+        lost += (w[f"{part}.pressure"] * w[f"{part}.flow"].conj()).real
+    np.testing.assert_allclose((w["speaker.v"] * w["speaker.i"].conj()).real, lost, rtol=1e-6)
+
+
+def test_the_volume_of_the_box_sets_the_resonance():
+    """``fc = fs sqrt(1 + vas/vb)`` of a closed box, at which the impedance is largest (Small)."""
+    box = {"part": "cavity", "volume": 0.02, "wall_losses": False}
+    tables = scene({"le": 1e-9}, {"rear": "box.a"}, {"box": box})
+    tables["analysis"] |= {"start": 40.0, "stop": 100.0}
+    tables["probes"] = {"least_a": {"of": "speaker.current", "take": "min"}}
+    vas = RHO * SOUND_SPEED**2 * DRIVER["sd"] ** 2 * CMS
+    volumes = [0.01, 0.02, 0.04]
+    table = kc.sweep(tables, {"box.volume": volumes})
+    least = 1 / (DRIVER["re"] + DRIVER["bl"] ** 2 / DRIVER["rms"])
+    np.testing.assert_allclose(table["least_a"], least, rtol=1e-4)  # between two points
+    for volume in volumes:
+        tables["box"]["volume"] = volume
+        fc = DRIVER["fs"] * np.sqrt(1 + vas / volume)
+        tables["analysis"] |= {"start": fc, "stop": 1.01 * fc, "points": 2, "scale": "linear"}
+        current = np.abs(kc.run(tables).waves["speaker.i"][0])
+        assert current == pytest.approx(least, rel=1e-6)
 
 
 def test_the_mass_without_air_is_one_of_the_stated_values():
@@ -150,6 +189,7 @@ def test_the_mass_without_air_is_one_of_the_stated_values():
     assert detail.mms == pytest.approx(DRIVER["mms"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_verify_passes_with_all_effects():
     load = {"part": "acoustic_resistor", "resistance": 2e4}
     keys = SEMI | {"creep": 0.1}

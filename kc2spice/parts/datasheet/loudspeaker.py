@@ -33,6 +33,7 @@ from kc2spice.parts.datasheet._driver_keys import (
     make_relation,
     thiele_small,
 )
+from kc2spice.parts.datasheet._efficiency import compute_efficiency
 from kc2spice.parts.datasheet._ladders import (
     CREEP_BAND,
     SEMI_INDUCTANCE_BAND,
@@ -290,33 +291,15 @@ stop = "1 kHz"
     ) -> Mapping[str, object]:
         result = self._impedance(part, waves)
         if result is None:
-            share = self._efficiency(part, waves) if "time" in waves else None
+            share = compute_efficiency(part, build.scene, waves) if "time" in waves else None
             return {} if share is None else {"efficiency": Metric(float(share[0]), "")}
         frequency, z = result
         rows = {
             "frequency_hz": Metric(frequency.tolist(), "Hz"),
             "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm"),
         }
-        share = self._efficiency(part, waves)
+        share = compute_efficiency(part, build.scene, waves)
         return rows if share is None else rows | {"efficiency": Metric(share.tolist(), "")}
-
-    def _efficiency(self, part: Part[LoudspeakerKeys], waves: Waveforms) -> np.ndarray | None:
-        """Acoustic power (n,) that leaves by front and rear, over the electrical power.
-
-        In a response to small signals, n frequencies have one value each. In a transient, the only
-        value is the ratio of the energies over the whole run.
-        """
-        n = part.name
-        sides = [side for side in (FRONT, REAR) if f"{n}.flow_{side}" in waves]
-        if not sides or not {f"{n}.v", f"{n}.i"} <= waves.data.keys():
-            return None
-        pairs = [(waves[f"{n}.p_{side}"], -waves[f"{n}.flow_{side}"]) for side in sides]
-        pairs.append((waves[f"{n}.v"], waves[f"{n}.i"]))
-        powers = [(across * np.conj(through)).real for across, through in pairs]
-        if "time" in waves:
-            powers = [np.atleast_1d(np.trapezoid(power, waves["time"])) for power in powers]
-        *acoustic, electrical = powers
-        return np.asarray(np.sum(acoustic, axis=0) / electrical)
 
     def figures(
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms

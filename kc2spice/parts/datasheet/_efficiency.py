@@ -1,0 +1,58 @@
+"""Efficiency of a loudspeaker: radiated power, from the pressure at a listener, over electrical."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.acoustics.listener import ListenerKeys
+from kc2spice.parts.acoustics.radiation import RadiationKeys
+from kc2spice.scene.model import Part, Scene
+
+STEADY_SHARE = 0.5  # part of a transient after which the oscillation counts as periodic
+
+
+def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
+    """Return the efficiency (n,) at all frequencies, or (1,) of the last periods of a transient.
+
+    With the pressure p on the axis at the distance r, the radiated power is ::
+
+        P = angle r^2 |p|^2 / (rho c)
+
+    with the solid angle of the radiating surfaces. The formula neglects that large surfaces radiate
+    less off their axis. The result is None unless the scene has one loudspeaker and one listener on
+    the axis of surfaces in one fluid, and in a transient a common period of its drives.
+    """
+    listener, lines = scene.only("listener"), (f"{part.name}.v", f"{part.name}.i")
+    if listener is None or scene.only(part.type.name) is None:
+        return None
+    keys = listener.with_schema(ListenerKeys).keys
+    sources = [
+        item.keys
+        for item in scene.of_schema("radiation", RadiationKeys)
+        if item.name in keys.sources or not keys.sources
+    ]
+    alike = {(item.fluid.density, item.fluid.sound_speed, item.shape) for item in sources}
+    names = (f"{listener.name}.pressure", *lines)
+    if keys.angle or len(alike) != 1 or not all(name in waves for name in names):
+        return None
+    fluid, radiator = sources[0].fluid, sources[0].radiator
+    area = radiator.solid_angle * keys.distance**2
+    pressure, voltage, current = map(waves.__getitem__, names)
+    radiated = area * np.abs(pressure) ** 2 / (fluid.density * fluid.sound_speed)
+    electrical = (voltage * np.conj(current)).real
+    if "frequency" in waves:
+        return np.asarray(radiated / electrical)
+    return _average_periods(waves["time"], radiated, electrical, scene.period)
+
+
+def _average_periods(
+    time: np.ndarray, radiated: np.ndarray, electrical: np.ndarray, period: float | None
+) -> np.ndarray | None:
+    """Return the ratio (1,) of two powers (n,) over the last whole periods, None without one."""
+    count = 0 if not period else int(STEADY_SHARE * time[-1] / period)
+    if not period or not count:
+        return None
+    inside = time >= time[-1] - count * period
+    energies = [np.trapezoid(power[inside], time[inside]) for power in (radiated, electrical)]
+    return np.array([energies[0] / energies[1]])
