@@ -15,27 +15,29 @@ to the responses. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import scipy
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.rom.entries import reference_share
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.given_flows import FlowReference, drive_unknowns
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.interface_modes import (
+from kc2spice.rom.interface_modes import no_congruence_error, reduce_with_interfaces
+from kc2spice.rom.interface_split import (
     DENSE,
     ROUNDING,
     GivenTemperatures,
     keeps_all_heat,
     modal_coordinates,
-    no_congruence_error,
-    reduce_with_interfaces,
     select_live_ports,
     split_given,
 )
@@ -96,9 +98,30 @@ class HeatReduction:
         ------
         SimulationError : the tolerance is not met.
         """
+        if not self._prescribed:
+            return self._reduce(task, flows=False)[0]
+        try:
+            return self._reduce(task, flows=True)[0]
+        except SimulationError:
+            result, samples = self._reduce(task, flows=False)
+        apart = max(item.flow_error(result) for item in samples)
+        warnings.warn(
+            f"{result.name}: the error estimate covers temperatures; heat flows into pins of given "
+            f"temperature have errors of up to {apart:.1g} over the ranges and the band",
+            stacklevel=3,
+        )
+        return result
+
+    def _reduce(
+        self, task: RangeTask, *, flows: bool
+    ) -> tuple[HeatOverRanges, Sequence[_Reference]]:
+        """Return the reduced model, and the samples of the ranges.
+
+        With ``flows``, the error includes that of heat flows into ports of prescribed temperature.
+        """
         axes, tolerance = task.axes, task.tolerance
         self._facts[:] = self._term_facts
-        ranges = _Ranges(self._terms, self._frame, task, self._prescribed)
+        ranges = _Ranges(self._terms, self._frame, task, self._prescribed, flows)
         sobol = scipy.stats.qmc.Sobol(len(axes), seed=5)
         corners = [np.array(corner) for corner in product((-1.0, 1.0), repeat=len(axes))]
         points = [*corners, *(sobol.random(SAMPLES * len(axes)) * 2 - 1)]
@@ -117,7 +140,7 @@ class HeatReduction:
                 fresh.append(ranges.reference(self._compute_full(values), values))
             error = SAFETY * max(inner, *(item.error(result) for item in fresh))
             if error <= tolerance:
-                return self._finish(ranges, result, error)
+                return self._finish(ranges, result, error), samples
             samples += fresh
         problem = "the error cannot be estimated over the ranges of the parameters"
         got = f"{error:.2g} at a point that was not used for the reduction"
@@ -149,8 +172,10 @@ class _Ranges:
         frame: LinearModel,
         task: RangeTask,
         given: Sequence[str],
+        flows: bool,
     ) -> None:
         self.terms, self.frame, self.task, self.given = terms, frame, task, given
+        self.flows = flows
         self.isolated = [bool(given) and keeps_all_heat(K) for K in terms.K]
 
     def values(self, x: np.ndarray) -> dict[str, float]:
@@ -166,14 +191,20 @@ class _Ranges:
 
     def reference(self, model: LinearModel, values: Values) -> _Reference:
         """Return what a reduced model is compared with at these values."""
-        parts = split_given(model, self.given)
-        inner = select_live_ports(parts.inner)
+        parts, task = split_given(model, self.given), self.task
+        inner, flows = select_live_ports(parts.inner), None
+        if self.given:
+            flows = FlowReference.of(model, parts, task.band, task.norm, task.tolerance)
+        if self.flows:  # which include the answers to given temperatures
+            sources = names_of(parts.inner.ports[: len(parts.shares)])
+            live = [name for name in names_of(inner.ports) if name in sources]
+            inner = inner.select(live) if live else inner
         if inner.order <= DENSE:
             inner, _ = modal_coordinates(inner)
         limits = 0.01 * self.task.tolerance, 0.3 * self.task.tolerance
         space = intermediate_model(inner.pencil, self.task.band, *limits)
         estimator = space.estimator(self.task.band, self.task.norm)
-        return _Reference(self, values, parts, names_of(inner.ports), estimator, space.error)
+        return _Reference(self, values, parts, flows, names_of(inner.ports), estimator, space.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +214,7 @@ class _Reference:
     ranges: _Ranges
     values: Values
     parts: GivenTemperatures
+    flows: FlowReference | None
     live: Sequence[str]
     estimator: ErrorEstimator
     uncertainty: float
@@ -192,9 +224,17 @@ class _Reference:
         ours = split_given(reduced.at(self.values), self.ranges.given)
         response = Response(ours.inner.select(self.live).pencil.dense())
         still = self._static_error(ours)
+        if self.ranges.flows:
+            still = max(still, self.flow_error(reduced))
         if still > limit:
             return still
         return max(still, self.estimator.error(response, limit) + self.uncertainty)
+
+    def flow_error(self, reduced: HeatOverRanges) -> float:
+        """Largest relative error of heat flows into ports of prescribed temperature."""
+        assert self.flows is not None
+        model = reduced.at(self.values)
+        return self.flows.error(model, split_given(model, self.ranges.given))
 
     def _static_error(self, ours: GivenTemperatures) -> float:
         """Largest relative error of the static answers to given temperatures."""
@@ -245,20 +285,26 @@ class _Basis:
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.model(values)
-        aims = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
+        aims: dict[str, Any] = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
         parts = split_given(model, ranges.given)
         small = reduce_with_interfaces(
-            model, ranges.given, parts, band=ranges.task.band, norm=ranges.task.norm, **aims
+            model,
+            ranges.given,
+            parts,
+            flows=ranges.flows,
+            measured=False,
+            band=ranges.task.band,
+            norm=ranges.task.norm,
+            **aims,
         )
         if small.basis is None:
             raise no_congruence_error(model)
         W = small.basis[parts.others][:, n:]
         K, E = (W.T @ (matrix @ W) for matrix in parts.inner.pencil.coefficients)
-        _, shapes = modal_coordinates(
-            LinearModel(E=E, K=K, B=W.T @ parts.inner.B, ports=parts.inner.ports)
-        )
+        driven = drive_unknowns(model, parts) if ranges.flows else parts.inner
+        _, shapes = modal_coordinates(LinearModel(E=E, K=K, B=W.T @ driven.B, ports=driven.ports))
         modes = W @ shapes
-        gains = np.abs(parts.inner.B.T @ modes)
+        gains = np.abs(driven.B.T @ modes)
         total = np.sqrt((gains**2).sum(axis=1, keepdims=True))
         share = (gains / np.where(total > 0, total, 1.0)).max(axis=0)
         self.columns.append(modes * share)

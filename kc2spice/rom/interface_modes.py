@@ -7,37 +7,48 @@ the given temperatures,
     T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
-The second equation is a model of its own, with the ports q and T_i'. It is reduced by a congruence,
-and its basis together with ``Psi`` is that of the whole model: E and K stay symmetric and positive
-semi-definite, so that the model is passive, and the static answers to given temperatures are exact.
-(R. R. Craig, M. C. C. Bampton, AIAA Journal 6 (1968) 1313, for structures.)
+A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``, from
+which the heat flows follow accurately (:mod:`kc2spice.rom.given_flows`). Its basis together with
+``Psi`` is that of the whole model: E and K stay symmetric and positive semi-definite, so that the
+model is passive, and the static answers to given temperatures are exact. (R. R. Craig, M. C. C.
+Bampton, AIAA Journal 6 (1968) 1313, for structures.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
-from kc2spice.core.domains import THERMAL
-from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.naming import names_of
-from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.core.errors import SimulationError, UsageError, wrong
+from kc2spice.rom.error_estimate import make_inaccuracy_error
+from kc2spice.rom.given_flows import FlowReference, drive_unknowns
+from kc2spice.rom.interface_split import (
+    DENSE,
+    GivenTemperatures,
+    modal_coordinates,
+    select_live_ports,
+    split_given,
+    symmetric_part,
+)
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 
-DENSE = 1500  # unknowns up to which the modes of a model are computed
-ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, relative
+ATTEMPTS = 6  # tolerances of the unknowns that are tried for the tolerance of heat flows
+SMALLEST_TOLERANCE = 1e-9  # of the unknowns, near rounding errors of solutions
+REFERENCE_TOLERANCE = 1e-4  # of the reference for a model of prescribed order
 
 
 def reduce_with_interfaces(
     model: LinearModel,
     given: Sequence[str],
     parts: GivenTemperatures | None = None,
+    *,
+    flows: bool = True,
+    measured: bool = True,
     **aims: Any,
 ) -> LinearModel:
     """Reduce a heat model whose ports ``given`` have given temperatures.
@@ -47,22 +58,64 @@ def reduce_with_interfaces(
     model : heat model with E and K; the column of B of each port that is given contains one 1.
     given : names of these ports.
     parts : the result of :func:`split_given` if it is known.
-    aims : arguments of :func:`kc2spice.rom.reduce.reduce_model`.
+    flows : whether the basis is one for the heat flows into these ports, too.
+    measured : whether these heat flows are compared with the tolerance, and included in the error.
+    aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
+        :func:`kc2spice.rom.reduce.reduce_model`.
 
     Returns
     -------
     LinearModel
-        Model with the ports of ``model`` in their order. Its certificate is that of the second
-        equation above.
+        Model with the ports of ``model`` in their order. The error of its certificate is that of
+        temperatures and, if ``measured``, of heat flows into the ports of given temperature.
 
     Raises
     ------
     UsageError : no congruence reduces the inner model.
+    SimulationError : the tolerance is not met.
     """
     if not given:
         return _reduce_definite(model, aims)
-    parts = parts or split_given(model, given)
-    small = _reduce_definite(select_live_ports(parts.inner), aims)
+    parts, tolerance = parts or split_given(model, given), aims["tolerance"]
+    if not flows:
+        return _reduce_parts(model, parts, _reduce_definite(select_live_ports(parts.inner), aims))
+    if not measured:
+        return _reduce_parts(model, parts, _reduce_driven(model, parts, aims))
+    band, norm = aims["band"], aims["norm"]
+    reference = FlowReference.of(model, parts, band, norm, tolerance or REFERENCE_TOLERANCE)
+    inner_tolerance = tolerance
+    for _ in range(ATTEMPTS):
+        small = _reduce_driven(model, parts, {**aims, "tolerance": inner_tolerance})
+        result = _reduce_parts(model, parts, small)
+        certificate = result.certificate
+        assert certificate is not None  # every reduction has one
+        error = reference.error(result, split_given(result, given))
+        worst = max(error, certificate.error_estimate)
+        if aims["order"] is not None or worst <= tolerance:
+            return replace(result, certificate=replace(certificate, error_estimate=worst))
+        inner_tolerance *= 0.5 * tolerance / error
+        if inner_tolerance < SMALLEST_TOLERANCE:
+            break
+    raise make_inaccuracy_error(
+        "the heat flows into ports of given temperature are not that accurate",
+        f"an error of {error:.1e}",
+        tolerance,
+        "a narrower rom.band or a looser rom.tolerance may help",
+    )
+
+
+def _reduce_driven(
+    model: LinearModel, parts: GivenTemperatures, aims: Mapping[str, Any]
+) -> LinearModel:
+    """Reduce the model of ``T_e`` for all inputs, or without ``E_ei`` if rounding prevents this."""
+    try:
+        return _reduce_definite(drive_unknowns(model, parts), aims)
+    except SimulationError:
+        return _reduce_definite(drive_unknowns(model, parts, stored=False), aims)
+
+
+def _reduce_parts(model: LinearModel, parts: GivenTemperatures, small: LinearModel) -> LinearModel:
+    """Reduce a divided model by the basis of the reduced model ``small`` of ``T_e``."""
     if small.basis is None:
         raise no_congruence_error(model)
     n, at, others = len(parts.at), parts.at, parts.others
@@ -70,13 +123,10 @@ def reduce_with_interfaces(
     V[others, :n], V[at, :n] = parts.psi, np.eye(n)
     V[others, n:] = small.basis
     K_small = np.zeros((V.shape[1],) * 2)
-    K_small[:n, :n] = _symmetrise(parts.conductance)
+    K_small[:n, :n] = parts.conductance
     K, E = map(sparse.csc_array, model.pencil.coefficients)
-    if keeps_all_heat(K):
-        # one temperature everywhere moves no heat
-        K_small[range(n), range(n)] -= K_small[:n, :n].sum(axis=1)
-    K_small[n:, n:] = _symmetrise(small.basis.T @ (K[others][:, others] @ small.basis))
-    E_small = _symmetrise(V.T @ (E @ V))
+    K_small[n:, n:] = symmetric_part(small.basis.T @ (K[others][:, others] @ small.basis))
+    E_small = symmetric_part(V.T @ (E @ V))
     return replace(
         LinearModel(E=E_small, K=K_small, B=V.T @ model.B, ports=model.ports),
         certificate=small.certificate,
@@ -94,60 +144,6 @@ def no_congruence_error(model: LinearModel) -> UsageError:
     )
 
 
-def keeps_all_heat(K: sparse.csc_array) -> bool:
-    """Whether one temperature of all unknowns moves no heat."""
-    return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
-
-
-@dataclass(frozen=True, eq=False)
-class GivenTemperatures:
-    """A heat model divided by its ports of given temperature.
-
-    Attributes
-    ----------
-    at, others : unknowns that are given, and all others.
-    psi : (others, at) static answers to the given temperatures.
-    shares : (sources, at) static temperatures of the ports q for given temperatures.
-    conductance : (at, at) [W/K] static heat flows into the ports of given temperature.
-    inner : model of the second equation above, with the ports q and then T_i'.
-    """
-
-    at: np.ndarray
-    others: np.ndarray
-    psi: np.ndarray
-    shares: np.ndarray
-    conductance: np.ndarray
-    inner: LinearModel
-
-
-def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
-    """Divide a heat model by its ports whose temperatures are ``given``."""
-    K, E = map(sparse.csc_array, model.pencil.coefficients)
-    names = names_of(model.ports)
-    of_ports = [names.index(name) for name in given]
-    at = model.B[:, of_ports].argmax(axis=0)
-    others = np.setdiff1d(np.arange(model.order), at)
-    sources = np.setdiff1d(np.arange(len(names)), of_ports)
-    K_ee, E_ee = K[others][:, others], E[others][:, others]
-    psi = np.zeros((len(others), 0))
-    if len(at):
-        psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
-    coupling = E[others][:, at].toarray() + E_ee @ psi
-    ports = [model.ports[k] for k in sources]
-    ports += [Port(f"{name}_rate", THERMAL.port) for name in given]
-    B = np.hstack([model.B[np.ix_(others, sources)], coupling])
-    inner = LinearModel(E=E_ee, K=K_ee, B=B, ports=tuple(ports))
-    shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
-    conductance = np.asarray(K[at][:, at].toarray() + K[at][:, others] @ psi)
-    return GivenTemperatures(at, others, psi, shares, conductance, inner)
-
-
-def select_live_ports(model: LinearModel) -> LinearModel:
-    """Return the model without ports that act on no unknown."""
-    live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
-    return model.select([model.ports[k].name for k in live])
-
-
 def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a model whose K is positive definite.
 
@@ -159,23 +155,3 @@ def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel
     modal, shapes = modal_coordinates(model)
     small = reduce_model(modal, **aims)
     return small if small.basis is None else replace(small, basis=shapes @ small.basis)
-
-
-def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
-    """Return a heat model in the coordinates of its modes, in which K is one, and their shapes."""
-    K, E = model.pencil.dense().coefficients
-    times, shapes = scipy.linalg.eigh(_symmetrise(E), _symmetrise(K))
-    modal = LinearModel(
-        E=np.diag(np.maximum(times, 0.0)),
-        K=np.eye(model.order),
-        B=shapes.T @ model.B,
-        ports=model.ports,
-        facts=model.facts,
-        name=model.name,
-        band=model.band,
-    )
-    return modal, shapes
-
-
-def _symmetrise(matrix: np.ndarray) -> np.ndarray:
-    return np.asarray(0.5 * (matrix + matrix.T))

@@ -67,6 +67,24 @@ class HeatModes:
     ports: tuple[Port, ...]
 
 
+def estimate_leak_share(model: LinearModel) -> float:
+    """Return the relative error of temperatures by the leak of a body that keeps all of its heat.
+
+    With one port at a given temperature, the leak ``C LEAK_RATE`` takes this share of the heat that
+    flows between two ports with the thermal resistance R: ``R C LEAK_RATE``.
+    """
+    K, E = model.pencil.dense().coefficients
+    values, vectors = np.linalg.eigh(0.5 * (K + K.T))
+    rises = model.B.T @ vectors[:, 0]
+    if values[0] > ZERO_EIGENVALUE * values[-1] or not np.abs(rises).min() > 0:
+        return 0.0
+    even = vectors[:, 0] / rises.mean()
+    apart = model.B[:, :, None] - model.B[:, None, :]
+    parts = np.einsum("ij,ikl->jkl", vectors[:, 1:], apart)
+    resistance = np.einsum("jkl,j->kl", parts**2, 1 / values[1:]).max(initial=0.0)
+    return float(LEAK_RATE * (even @ E @ even) * resistance)
+
+
 def is_heat_model(model: LinearModel) -> bool:
     """Whether the ports of a model exchange heat."""
     return THERMAL in map(attrgetter("domain"), model.ports)

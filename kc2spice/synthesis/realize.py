@@ -48,7 +48,7 @@ from kc2spice.synthesis.header import (
     part_header,
     rom_comments,
 )
-from kc2spice.synthesis.heat import heat_cards, is_heat_model
+from kc2spice.synthesis.heat import estimate_leak_share, heat_cards, is_heat_model
 from kc2spice.synthesis.heat_sources import (
     HEAT_PIN_ROWS,
     LOSS_NODE,
@@ -593,11 +593,14 @@ def _summarise_reduction(
     The circuit is compared with models at values of its parameters.
     """
     band = certificate.band_hz
-    errors = (
-        estimate_circuit_error(circuit, pins, m, band, certificate.norm, at) for m, at in compared
-    )
+    errors, leak = [], 0.0
+    for model, at in compared:
+        errors.append(estimate_circuit_error(circuit, pins, model, band, certificate.norm, at))
+        if is_heat_model(model):
+            leak = max(leak, estimate_leak_share(model))
     worst = max(errors, key=attrgetter("error"))
     total = certificate.error_estimate
+    total += leak if leak > NEGLIGIBLE_ERROR * total else 0.0
     total += worst.error if worst.error > NEGLIGIBLE_ERROR * total else 0.0
     return ReductionSummary(order, band, certificate.norm, total, worst.error, worst.frequency)
 

@@ -539,7 +539,8 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     if not moving.size:
         return
     t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_FREQUENCIES)
-    settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
+    with np.errstate(over="ignore"):  # a mode without heat capacity settles at once
+        settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
     curves = []
     for k, port in enumerate(modes.ports):
         rise = settled @ (modes.resistance * modes.share[:, k] ** 2) + modes.direct[k, k]

@@ -1,0 +1,158 @@
+"""Heat flows into ports of given temperature, and their error in a reduced model.
+
+With the division of :mod:`kc2spice.rom.interface_modes`, the heat flows into the ports ``T_i`` and
+the temperatures of the ports ``q`` are
+
+    Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
+    (K_ee + s E_ee) x = B_e q - s c T_i,
+
+with the static heat flows ``G``, the static temperatures ``S``, ``c = E_ei + E_ee Psi`` and ``M =
+E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies the terms of Q nearly cancel: the heat flow
+into a body behind a film tends to that of a cold body, ``K_ii T_i``. The error of x therefore does
+not bound the errors of Q and T_q. The unknowns themselves have no such terms:
+
+    (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
+    Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
+
+but cancel at low frequencies. A reduction for the inputs ``K_ei`` and ``E_ei`` is accurate for Q.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from kc2spice.core.domains import THERMAL
+from kc2spice.rom.entries import Entries, reference_share
+from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.interface_split import DENSE, ROUNDING, GivenTemperatures
+from kc2spice.rom.linear_model import LinearModel, Norm, Port
+
+FREQUENCIES = 40  # at which heat flows are compared; they are smooth functions of the frequency
+DECADES = 4.0  # of these frequencies below the end of the band
+REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, shares of the tolerance
+
+
+def drive_unknowns(
+    model: LinearModel, parts: GivenTemperatures, *, stored: bool = True
+) -> LinearModel:
+    """Return the model of ``T_e`` with the ports ``B_e`` and ``-K_ei`` that act on it.
+
+    The ports ``E_ei`` are included if ``stored``.
+    """
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    at, others, count = parts.at, parts.others, len(parts.shares)
+    K_ei, E_ei = K[others][:, at].toarray(), E[others][:, at].toarray()
+    B = np.hstack([parts.inner.B[:, :count], -K_ei, stored * E_ei])
+    names = [port.name for port in parts.inner.ports[:count]]
+    names += [f"{kind}{k}" for kind in ("conducted", "stored") for k in range(len(at))]
+    live = np.flatnonzero(np.abs(B).max(axis=0) > 0)
+    ports = tuple(Port(names[k], THERMAL.port) for k in live)
+    K_ee, E_ee = parts.inner.pencil.coefficients
+    return LinearModel(E=E_ee, K=K_ee, B=B[:, live], ports=ports, name=model.name)
+
+
+@dataclass(frozen=True, eq=False)
+class FlowReference:
+    """Heat flows and temperatures of a full model at given temperatures and heat flows.
+
+    Attributes
+    ----------
+    frequency : (n,) [Hz] at which reduced models are compared.
+    response : (n, ports, ports) Q and then T_q of the ports, for T_i and then q.
+    uncertainty : relative error of the response.
+    rounding : (ports, ports) rounding errors of the response.
+    share : smallest size that errors are relative to, as a share of the peak of each entry.
+    """
+
+    frequency: np.ndarray
+    response: np.ndarray
+    uncertainty: float
+    rounding: np.ndarray
+    share: float
+
+    @classmethod
+    def of(
+        cls,
+        model: LinearModel,
+        parts: GivenTemperatures,
+        band: tuple[float, float],
+        norm: Norm,
+        tolerance: float,
+    ) -> FlowReference:
+        """Compute the response of a full ``model``, divided into ``parts``."""
+        low, high = max(band[0], band[1] / 10**DECADES), band[1]
+        frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
+        uncertainty = 0.0
+        if parts.inner.order > DENSE:
+            model, parts, uncertainty = _project(model, parts, band, tolerance)
+        response = _respond(model, parts, frequency)
+        rounding = np.full(response.shape[1:], ROUNDING)
+        n = len(parts.at)
+        rounding[:n, :n] *= np.abs(model.pencil.coefficients[0]).diagonal()[parts.at].max()
+        rounding[n:, n:] = 0.0
+        return cls(frequency, response, uncertainty, rounding, reference_share(norm))
+
+    def error(self, model: LinearModel, parts: GivenTemperatures) -> float:
+        """Largest relative error of a reduced ``model``, divided into ``parts``."""
+        ours = _respond(model, parts, self.frequency)
+        base = Entries.of(self.response).base(self.response, self.share)
+        apart = np.maximum(np.abs(ours - self.response) - self.rounding, 0.0)
+        relative = apart / (base + np.finfo(float).tiny)
+        return float(relative.max(initial=0.0)) + self.uncertainty
+
+
+def _project(
+    model: LinearModel, parts: GivenTemperatures, band: tuple[float, float], tolerance: float
+) -> tuple[LinearModel, GivenTemperatures, float]:
+    """Project a large model to its answers in the band, which are far more accurate than needed."""
+    limits = (share * tolerance for share in REFERENCE_SHARE)
+    space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
+    assert space.basis is not None  # a large model is never used completely
+    n, at, others = len(parts.at), parts.at, parts.others
+    W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))
+    V = np.zeros((model.order, n + W.shape[1]))
+    V[at, :n], V[others, n:] = np.eye(n), W
+    K, E = (V.T @ (matrix @ V) for matrix in model.pencil.coefficients)
+    small = LinearModel(E=E, K=K, B=V.T @ model.B, ports=model.ports)
+    inner = parts.inner
+    K, E = (W.T @ (matrix @ W) for matrix in inner.pencil.coefficients)
+    inside = LinearModel(E=E, K=K, B=W.T @ inner.B, ports=inner.ports)
+    first, rest = np.arange(n), np.arange(n, V.shape[1])
+    divided = replace(parts, at=first, others=rest, psi=W.T @ parts.psi, inner=inside)
+    return small, divided, space.error
+
+
+def _respond(model: LinearModel, parts: GivenTemperatures, frequency: np.ndarray) -> np.ndarray:
+    """Return heat flows and temperatures (n, ports, ports) of a divided model.
+
+    Of two equal forms of the response, that with the smaller terms has the smaller rounding errors.
+    """
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    at, others, count = parts.at, parts.others, len(parts.shares)
+    K_ii, E_ii = K[at][:, at].toarray(), E[at][:, at].toarray()
+    K_ei, E_ei = K[others][:, at].toarray(), E[others][:, at].toarray()
+    K_ee, E_ee = parts.inner.pencil.coefficients
+    b, c = np.split(parts.inner.B, [count], axis=1)
+    direct = parts.shares - b.T @ parts.psi  # B_i' of the ports q
+    result = []
+    for s in 2j * np.pi * frequency:
+        coupling = K_ei + s * E_ei
+        X = _solve(K_ee + s * E_ee, np.hstack([-coupling, b, -s * c]))
+        cold, by_flow, lag = np.split(X, [len(at), len(at) + count], axis=1)
+        inner = b.T @ by_flow
+        flows, warm = K_ii + s * E_ii + coupling.T @ cold, direct + b.T @ cold
+        if np.abs(s * parts.stored).max(initial=0.0) < np.abs(K_ii).max(initial=0.0):
+            flows = parts.conductance + s * (parts.stored + c.T @ lag)
+            warm = parts.shares + b.T @ lag
+        result.append(np.block([[flows, -warm.T], [warm, inner]]))
+    return np.array(result)
+
+
+def _solve(matrix: sparse.csc_array | np.ndarray, right: np.ndarray) -> np.ndarray:
+    if isinstance(matrix, np.ndarray):
+        return np.asarray(np.linalg.solve(matrix, right))
+    return np.asarray(splu(sparse.csc_array(matrix)).solve(right.astype(complex)))

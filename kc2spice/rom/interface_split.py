@@ -1,0 +1,102 @@
+"""Heat models divided by ports whose temperatures are given.
+
+:mod:`kc2spice.rom.interface_modes` states the equations. The division is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.naming import names_of
+from kc2spice.rom.linear_model import LinearModel, Port
+
+DENSE = 1500  # unknowns up to which the modes of a model are computed
+ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, relative
+
+
+def keeps_all_heat(K: sparse.csc_array) -> bool:
+    """Whether one temperature of all unknowns moves no heat."""
+    return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
+
+
+@dataclass(frozen=True, eq=False)
+class GivenTemperatures:
+    """A heat model divided by its ports of given temperature.
+
+    Attributes
+    ----------
+    at, others : unknowns that are given, and all others.
+    psi : (others, at) static answers to the given temperatures.
+    shares : (sources, at) static temperatures of the ports q for given temperatures.
+    conductance : (at, at) [W/K] static heat flows into the ports of given temperature.
+    stored : (at, at) [J/K] heat that the static answers to given temperatures store.
+    inner : model of the second equation above, with the ports q and then T_i'.
+    """
+
+    at: np.ndarray
+    others: np.ndarray
+    psi: np.ndarray
+    shares: np.ndarray
+    conductance: np.ndarray
+    stored: np.ndarray
+    inner: LinearModel
+
+
+def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
+    """Divide a heat model by its ports whose temperatures are ``given``."""
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    names = names_of(model.ports)
+    of_ports = [names.index(name) for name in given]
+    at = model.B[:, of_ports].argmax(axis=0)
+    others = np.setdiff1d(np.arange(model.order), at)
+    sources = np.setdiff1d(np.arange(len(names)), of_ports)
+    K_ee, E_ee = K[others][:, others], E[others][:, others]
+    psi = np.zeros((len(others), 0))
+    if len(at):
+        psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
+    coupling = E[others][:, at].toarray() + E_ee @ psi
+    ports = [model.ports[k] for k in sources]
+    ports += [Port(f"{name}_rate", THERMAL.port) for name in given]
+    B = np.hstack([model.B[np.ix_(others, sources)], coupling])
+    inner = LinearModel(E=E_ee, K=K_ee, B=B, ports=tuple(ports))
+    shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
+    conductance = symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
+    if keeps_all_heat(K):
+        # one temperature everywhere moves no heat
+        conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
+    stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
+    return GivenTemperatures(at, others, psi, shares, conductance, symmetric_part(stored), inner)
+
+
+def select_live_ports(model: LinearModel) -> LinearModel:
+    """Return the model without ports that act on no unknown."""
+    live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
+    return model.select([model.ports[k].name for k in live])
+
+
+def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
+    """Return a heat model in the coordinates of its modes, in which K is one, and their shapes."""
+    K, E = model.pencil.dense().coefficients
+    times, shapes = scipy.linalg.eigh(symmetric_part(E), symmetric_part(K))
+    modal = LinearModel(
+        E=np.diag(np.maximum(times, 0.0)),
+        K=np.eye(model.order),
+        B=shapes.T @ model.B,
+        ports=model.ports,
+        facts=model.facts,
+        name=model.name,
+        band=model.band,
+    )
+    return modal, shapes
+
+
+def symmetric_part(matrix: np.ndarray) -> np.ndarray:
+    """Return the symmetric part of a matrix."""
+    return np.asarray(0.5 * (matrix + matrix.T))
