@@ -11,10 +11,10 @@ electrode) and the voltages of driven electrodes. With shapes S of the forces,
 of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
 :class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. Blocks are
-boxes along the axes, in a body of revolution in the plane (radius, height). They are on one grid of
-quadratic quadrilaterals or hexahedra. The lines of the grid contain every edge of a block, an
-electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors and
-electrodes are equipotentials, and other insulators carry no field (:mod:`kc2spice.fem.solid`).
+boxes along the axes, in a body of revolution in the plane (radius, height). All blocks are on one
+grid of quadratic quadrilaterals or hexahedra. The lines of the grid contain every edge of a block,
+an electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors
+and electrodes are equipotentials, and other insulators carry no field (:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Stress and electric field in a body under the port waveforms of a run.
 
 A run computes the waveforms of the ports. The body's own motion under these inputs follows from a
-projection of the full model on a Krylov basis V. Its modes are integrated exactly for inputs that
-are linear between samples. Thus z = V x is the response of the full model, for the waveforms of any
-simulator.
+projection of the full model on a Krylov basis V. The modes of the projected model are integrated
+exactly for inputs that are linear between samples. Thus z = V x is the response of the full model,
+for the waveforms of any simulator.
 
 With the displacement u and the potential phi of the full model, element by element,
 

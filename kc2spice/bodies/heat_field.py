@@ -1,7 +1,7 @@
 """Temperatures inside a body under the heat flows of a run.
 
-The full model is projected on a Krylov basis. Its modes ``x' + x / t = g q`` are integrated exactly
-for heat flows that are linear between samples.
+The full model is projected on a Krylov basis. The modes of the model, ``x' + x / t = g q``, are
+integrated exactly for heat flows that are linear between samples.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ With s = j w,
 
 f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective coupling
 ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied by its
-denominator, the circuit is linear in its coefficients. They are fitted to the samples around the
-resonance, and a few iterations update the weights (Sanathanan and Koerner, IEEE Trans. Autom.
-Control 8 (1963) 56). Therefore f_s may lie between the frequencies of the samples.
+denominator, the circuit is linear in its coefficients. The coefficients are fitted to the samples
+around the resonance, and a few iterations update the weights (Sanathanan and Koerner, IEEE Trans.
+Autom. Control 8 (1963) 56). Therefore f_s may lie between the frequencies of the samples.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ by the same ``S w = s 1``. Then
 where S is that of a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is
 the compliance of the patch on the coarse mesh of the same round stack. The sum restores the
 compliance that the coarse mesh lacks. The difference between the round stack and the real one is
-smooth, and thus equal for all basis functions. It is dynamic, and the port of the patch includes
-it. The matrix is positive semi-definite because ``S - s 1 1'`` is (s is the least compliance of
-all shares), and because a coarse mesh is too stiff.
+smooth, and thus equal for all basis functions. This part of the motion is dynamic, and the port of
+the patch includes it. The matrix is positive semi-definite because ``S - s 1 1'`` is (s is the
+least compliance of all shares), and because a coarse mesh is too stiff.
 
 The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
 the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
@@ -22,7 +22,8 @@ sphere's indentation beyond the patch's motion determines the forces. Their sum 
 depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
 
 The counterpart may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis.
-Its quadrilaterals grow with the distance from the lowest point. The conformal map ``zeta = w / (1
+The quadrilaterals of its mesh grow with the distance from the lowest point. The conformal map
+``zeta = w / (1
 - i w / 2R)`` of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the
 half disc, h the height above the pole. A grid of the angles x, along the surface, and y, along the
 axis, has right angles everywhere and, at the pole, the lines of the basis. The other pole is at

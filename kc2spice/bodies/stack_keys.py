@@ -90,7 +90,7 @@ class ChipDamping(Damping):
 class Cap(Section):
     """Layer without electric field at one end of a stack.
 
-    It consists of the stack's own ceramic without poling, unless ``material`` is stated.
+    By default the layer consists of the ceramic of the stack without poling.
     """
 
     thickness: Thickness = Field(gt=0, description="Thickness of the inactive layer")

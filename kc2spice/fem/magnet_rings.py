@@ -303,7 +303,7 @@ class Ladder(EqualByContent):
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
         return known | {f"{MESH_ERROR_PREFIX}rings": self.rough, "loop_error": self.error}
 
-    def effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
+    def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
         """Compute the effect of the body's currents on coils and force at ``heights`` [m]."""
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
@@ -359,7 +359,8 @@ def compare_rings(
         form = "iyn,jyn->ijy"
         exact = CurrentEffect(np.einsum(form, m, currents), np.einsum(form, slope, currents))
         worst = max(
-            worst, ladder.effect(heights, 1j * speed, conductivity).largest_difference(exact)
+            worst,
+            ladder.compute_effect(heights, 1j * speed, conductivity).largest_difference(exact),
         )
     return worst
 

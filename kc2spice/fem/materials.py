@@ -191,7 +191,7 @@ class Material(EqualByContent):
         """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
 
         The tensors refer to the axes of the body at ``places`` (n, 3) [m] in the ``elements``
-        (n,). Without :attr:`local_axes` they are the same everywhere, and n = 1.
+        (n,). Without :attr:`local_axes` the tensors are the same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -209,7 +209,7 @@ class Material(EqualByContent):
     def indentation_modulus(self) -> float:
         """Modulus [Pa] of a half-space under indentation along z without fields.
 
-        It is E / (1 - nu^2) if the material is isotropic.
+        For an isotropic material, the modulus is E / (1 - nu^2).
 
         The material must be isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
         Structures 41 (2004), eq. 13.

@@ -81,8 +81,9 @@ class Group(EqualByContent):
 class GroupedMesh:
     """Quadratic mesh [m] with its groups, keyed by name.
 
-    It consists of tetrahedra or hexahedra, in a plane of triangles or quadrilaterals. ``numbers``
-    (elements,) are the numbers of the elements in the file from which the elements were made.
+    The mesh consists of tetrahedra or hexahedra, and a plane mesh of triangles or quadrilaterals.
+    ``numbers`` (elements,) are the numbers of the elements in the file from which the elements
+    were made.
     """
 
     mesh: Mesh

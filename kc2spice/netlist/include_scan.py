@@ -1,8 +1,8 @@
 """Security check of netlists from users, which can execute programs, before simulation.
 
 The simulator gets one text without includes. This module reads names, continuation lines and
-comments by the rules of the simulator. It writes lines that end in a line feed, and replaces other
-blanks by spaces. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
+comments by the rules of the simulator. The text that it returns has line feeds as line ends and
+spaces as blanks. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
 
 Only known commands, element letters, options and file names are allowed. If the user trusts a
 circuit, its text is not changed.
@@ -45,7 +45,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Flat:
+class FlatCircuit:
     """Circuit without includes, as one text."""
 
     file: str
@@ -63,7 +63,7 @@ class Flat:
                 yield replace(card, where=self.lines[card.line - 1].where)
 
 
-def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
+def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = False) -> FlatCircuit:
     """Return a circuit in which the content of files below ``home`` replaces the includes.
 
     With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
@@ -76,7 +76,7 @@ def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = Fals
     circular or leads out of ``home``.
     """
     lines = _Reader(path, home, trust, inside).lines(path.name, path, str(path), ())
-    return Flat(make_plain_name(path.name), tuple(lines))
+    return FlatCircuit(make_plain_name(path.name), tuple(lines))
 
 
 @dataclass
@@ -345,7 +345,9 @@ _COMMAND_COMMENT = re.compile(r"(?i)^\s*\*(#|ng_script)")
 _PROGRAM_WORDS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
 
 
-def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
+def read_checked_circuit(
+    path: Path, *, trust: bool = False, home: Path | None = None
+) -> FlatCircuit:
     """Return a circuit with its includes, after a check that it is safe.
 
     Parameters
@@ -372,7 +374,7 @@ def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None =
     return result
 
 
-def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
+def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> FlatCircuit:
     """Return the file ``name`` in the scene directory ``home`` with its includes.
 
     Raises
@@ -395,7 +397,7 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
     return result
 
 
-def read_untrusted_netlist(name: str, home: Path) -> Flat:
+def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
     """Return the file ``name`` unchanged, with its includes from ``home`` or below.
 
     The pins and nodes of the circuit are needed before its user trusts the file.

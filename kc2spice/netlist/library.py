@@ -156,8 +156,8 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     """Read the parts of a library file.
 
     The header of a subcircuit declares pins, units and parameters. A subcircuit without a header is
-    a part if no other subcircuit of the file instantiates it. Its pins are then electrical and its
-    parameters have no unit.
+    a part if no other subcircuit of the file instantiates it. The pins of this part are
+    electrical, and the parameters have no unit.
 
     Parameters
     ----------

@@ -193,7 +193,7 @@ def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tre
                 got=format_tree(tree),
             )
     forces = map(declaration.delayed_flow, declaration.displacements)
-    return (*forces, *(linkages.motional if linkages else ()))
+    return (*forces, *(linkages.motion_voltages if linkages else ()))
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
@@ -243,7 +243,7 @@ def _write_linkages(
         yield f"* {name}: {henry:.6g} H times the inverse inductances, minus their mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
-        motion = substitute_names(add_trees(*lookups.split(linkages.motional[k])), nodes)
+        motion = substitute_names(add_trees(*lookups.split(linkages.motion_voltages[k])), nodes)
         yield from _write_linkage(linkages.declaration, branch, henry, format_tree(motion), nodes)
         n, base, terms = branch.name, lookups.base, []
         yield _comment("current", branch, node=n)

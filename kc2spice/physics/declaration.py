@@ -228,7 +228,7 @@ ONE_TEMPERATURE = (
     "not estimated",
 )
 
-# Correct place of a term that an equation must not contain.
+# Suggestion where to state a term that an equation must not contain.
 _OTHER_PLACES = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
     "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",

@@ -57,7 +57,7 @@ class Linkages:
         return names_of(self.branches)
 
     @cached_property
-    def motional(self) -> tuple[Tree, ...]:
+    def motion_voltages(self) -> tuple[Tree, ...]:
         """Voltage [V] of each branch by motion without currents."""
         still = dict.fromkeys(self.current_names, ZERO)
         result = []

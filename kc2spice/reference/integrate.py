@@ -273,8 +273,8 @@ class Segment:
 class EnergyBalance:
     """Energy error of a run: the supplied energy [J] that is neither stored nor lost.
 
-    Its scale is the ``turnover``: the sum of the supplied energy, the lost energy and the energy at
-    the start.
+    The scale of the error is the ``turnover``: the sum of the supplied energy, the lost energy and
+    the energy at the start.
     """
 
     residual: float

@@ -241,7 +241,7 @@ class _Assembly:
             row[(self.node if self.kinds[net] in L.POTENTIALS else self.signal)[net]] = 1.0
         return row
 
-    def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
+    def subtract_pins(self, law: L.Law, a: str, *others: str) -> np.ndarray:
         """Subtract the linear forms of ``others`` from the form of a pin; empty names are
         ignored."""
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
@@ -478,7 +478,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     shaken = {}
     for k, port in enumerate(law.ports):
         if port.kind in L.CHARGE_OUTPUTS:
-            volts[k] = into.gap(law, port.name, port.ret)
+            volts[k] = into.subtract_pins(law, port.name, port.ret)
         elif port.kind == ACCELERATION.name:
             shaken[k] = into.form(law, port.name)
 
@@ -499,7 +499,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             at = into.state_index[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
             into.A[x, at] += B[:, k]
-            form = into.gap(law, port.name, port.ret)
+            form = into.subtract_pins(law, port.name, port.ret)
             into.A[:, at] -= form
             into.A[at] += form - C[k] @ motion
             for j, other in enumerate(law.ports):
@@ -536,7 +536,7 @@ def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
     if law.signal:
         into.S[:, k] += into.form(law, "out")
         return
-    form = into.gap(law, "out", "ret")
+    form = into.subtract_pins(law, "out", "ret")
     if law.flows:
         into.S[:, k] += form
         into.rate(form)  # needed for the power of the source
@@ -548,12 +548,12 @@ def _stamp_device(law: L.Device, into: _Assembly) -> None:
     """Stamp a device."""
     taps = []
     for tap in law.taps:
-        form = into.gap(law, tap.pin, tap.minus, tap.less)
+        form = into.subtract_pins(law, tap.pin, tap.minus, tap.less)
         taps.append(into.rate(form) if tap.rate else form)
     if law.start is not None:
         into.initial_values.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
     states = np.eye(into.size)[into.states(law)]
-    through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
+    through = [-into.subtract_pins(law, f.pin, f.minus, f.less) for f in law.flows]
     driven = map(partial(into.form, law), law.prescribes)
     inputs = np.array([*taps, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T

@@ -63,7 +63,7 @@ def draw_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
         page.savefig(
             directory / names[-1],
             metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # the default takes longer than the drawing
+            pil_kwargs={"compress_level": 2},  # the default layout takes longer than the drawing
         )
     return names
 

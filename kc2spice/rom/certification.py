@@ -30,7 +30,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     SimulationError : the model has a state whose rate is zero within double precision.
     UsageError : the model has no state-space form, which a netlist needs.
     """
-    task, response, proof = basis.task, basis.leading(order), basis.proof(order)
+    task, response, proof = basis.task, basis.leading_model(order), basis.proof(order)
     estimator = task.estimator
     error = basis.error(order) + task.intermediate.floor
     if not np.isfinite(error):

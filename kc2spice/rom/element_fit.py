@@ -369,7 +369,7 @@ def conductance(elements: Elements) -> float:
 
 
 def _conductance_slope(elements: Elements, element: FitElement) -> float:
-    """Derivative of :func:`conductance` by the logarithm of an amplitude."""
+    """Derivative of :func:`conductance` with respect to the logarithm of an amplitude."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)

@@ -5,7 +5,7 @@ Foster's form is a chain of thermal resistances, each beside a heat capacity::
     Z(s) = D + sum_k R_k / (1 + s t_k)          C_k = t_k / R_k
 
 Cauer's form is a ladder: heat capacities between the nodes and the pin ``ambient``, and thermal
-resistances between the nodes. It follows from Foster's form by the continued fraction::
+resistances between the nodes. Cauer's form follows from Foster's form by the continued fraction::
 
     Z(s) = D + 1 / (s C_1 + 1 / (R_1 + 1 / (s C_2 + 1 / (R_2 + ...))))
 
@@ -175,7 +175,7 @@ def _add_modes(
     """Return numerator and denominator of a sum of modes by powers of s, the lowest first."""
     above, below = list[Decimal](), [Decimal(1)]
     for R, t in zip(resistance, times, strict=True):
-        above = _add(_times_pole(above, t), [R * x for x in below])
+        above = _add_polynomials(_times_pole(above, t), [R * x for x in below])
         below = _times_pole(below, t)
     return above, below
 
@@ -188,10 +188,10 @@ def _times_pole(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
     return [polynomial[0], *inner, t * polynomial[-1]]
 
 
-def _add(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
+def _add_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
     return [a + b for a, b in zip_longest(first, second, fillvalue=Decimal(0))]
 
 
 def _subtract(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
     """Return the difference of polynomials whose leading terms cancel."""
-    return _add(first, [-x for x in second])[:-1]
+    return _add_polynomials(first, [-x for x in second])[:-1]

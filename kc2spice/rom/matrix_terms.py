@@ -1,8 +1,8 @@
 """Matrices of heat models as sums of terms with powers of parameters as factors.
 
 The conductances of a body are proportional to conductivities and film coefficients, and inversely
-proportional to thicknesses and resistances of joints. Its heat capacities are proportional to
-densities. The matrices E and K over ranges of parameters are therefore sums
+proportional to thicknesses and resistances of joints. The heat capacities of a body are
+proportional to densities. The matrices E and K over ranges of parameters are therefore sums
 
     K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
 

@@ -27,8 +27,8 @@ A constant loss tangent of the dielectric
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
-    The effect of the loss on the stiffness by internal fields is neglected. It is tan delta times
-    the share of the electric energy at constant charge in a mode.
+    The effect of the loss on the stiffness by internal fields is neglected. This effect is tan
+    delta times the share of the electric energy at constant charge in a mode.
 """
 
 from __future__ import annotations
@@ -512,9 +512,9 @@ def fit_foster_network(
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     """Add a loss tangent of the free body at 1 kHz to a model.
 
-    It is constant in the band of the certificate, whose error includes the error of the sum. The
-    motional and the clamped capacitance of several electrodes are the sums over all of them, each
-    with the others shorted.
+    The loss tangent is constant in the band of the certificate, whose error includes the error of
+    the sum. The motional and the clamped capacitance of several electrodes are the sums over all
+    of them, each with the others shorted.
 
     Raises
     ------

@@ -422,7 +422,7 @@ class Pencil:
         C = B.T.copy() if self.collocated else np.asarray(ExactMatrix(self.C) @ V, dtype=float)
         return Pencil(tuple(reduced), B, C, self.D)
 
-    def leading(self, order: int) -> Pencil:
+    def leading_model(self, order: int) -> Pencil:
         """The pencil of the first ``order`` unknowns."""
         return self._part(slice(order), min(self.free, order))
 

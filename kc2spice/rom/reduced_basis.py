@@ -179,7 +179,7 @@ class Task:
         """Return a projection of :attr:`core` with the rigid-body modes in front."""
         if self.core is self.response.pencil:
             return pencil
-        return pencil.joined(self.response.pencil.leading(self.response.pencil.free))
+        return pencil.joined(self.response.pencil.leading_model(self.response.pencil.free))
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
         """Extend vectors V of :attr:`core` to the intermediate model.
@@ -196,7 +196,7 @@ class Task:
         The value is None if they also depend on the input.
         """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
-        parts = [pencil.leading(free), self.core] if free else [self.core]
+        parts = [pencil.leading_model(free), self.core] if free else [self.core]
         rows = []
         for part in parts:
             size = part.size
@@ -210,7 +210,7 @@ class Task:
     def from_first_order(self, pencil: Pencil) -> Pencil:
         """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
         if free := self.response.pencil.free:
-            rigid = to_schur_form(self.response.pencil.leading(free), self.band[1])
+            rigid = to_schur_form(self.response.pencil.leading_model(free), self.band[1])
             pencil = pencil.joined(rigid)
         return to_hertz(pencil, self.band[1])
 
@@ -264,10 +264,10 @@ class ReducedBasis:
         """
         return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
 
-    def leading(self, order: int) -> Response:
+    def leading_model(self, order: int) -> Response:
         """Return the response of the model of this order."""
         if order not in self.responses:
-            self.responses[order] = Response(self.pencil.leading(order))
+            self.responses[order] = Response(self.pencil.leading_model(order))
         return self.responses[order]
 
     @cached_property
@@ -300,12 +300,14 @@ class ReducedBasis:
         Above ``limit`` the result may be any error above ``limit``.
         """
         exact = self.task.intermediate.error
-        difference = self.task.estimator.error(self.leading(order), (limit - exact) / SAFETY_FACTOR)
+        difference = self.task.estimator.error(
+            self.leading_model(order), (limit - exact) / SAFETY_FACTOR
+        )
         return max(exact + SAFETY_FACTOR * difference, MIN_ERROR_ESTIMATE)
 
     def proof(self, order: int) -> StabilityProof:
         """Return stability and passivity of the model of this order."""
-        response = self.leading(order)
+        response = self.leading_model(order)
         poles = None if response.decoupled else response.poles
         return prove_stability(response.pencil, self.task.band, poles)
 

@@ -63,7 +63,7 @@ def fit_output_matrix(
     )
     while trial_order > max(1, basis.pencil.free, best[1] - MAX_FAILURES):
         trial_order -= 1
-        response = basis.leading(trial_order)
+        response = basis.leading_model(trial_order)
         pencil, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
         for _ in range(MAX_ROUNDS):
@@ -96,7 +96,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
     for fewer in range(order - 1, 0, -1):
         if fewer * (1 + ports) > MAX_FIT_PARAMETERS:
             break
-        rates, T = scipy.linalg.eigh(*basis.pencil.leading(fewer).coefficients)
+        rates, T = scipy.linalg.eigh(*basis.pencil.leading_model(fewer).coefficients)
         if rates[0] <= 0:
             break
         start = rates, T.T @ basis.pencil.B[:fewer]

@@ -56,7 +56,7 @@ class Response:
     ) -> None:
         self.pencil, self.zero = pencil, zero
         self.core = pencil.without_free_motion if pencil.has_uncoupled_motion else pencil
-        self._free = pencil.leading(pencil.free) if pencil.has_uncoupled_motion else None
+        self._free = pencil.leading_model(pencil.free) if pencil.has_uncoupled_motion else None
         self._prescribed_modes = modes
 
     @cached_property

@@ -113,7 +113,7 @@ def free_part(pencil: Pencil, omega: float) -> Pencil | None:
     """Select the rigid-body motion, whose response has no bound; None without one."""
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
-    return pencil.leading(pencil.free) if pencil.free else None
+    return pencil.leading_model(pencil.free) if pencil.free else None
 
 
 def _bound_rounding(pencil: Pencil) -> Rounding:

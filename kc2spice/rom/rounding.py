@@ -81,8 +81,8 @@ def zero_entries(
     """Find the entries (outputs, inputs) of a model that are zero by symmetry.
 
     A zero entry is negligible nearly everywhere in the band in the ``response`` of the projection
-    on V. On sharp resonances of equal modes they may be larger, up to the effect of rounding of the
-    model's entries.
+    on V. At sharp resonances of equal modes, the errors may be larger, up to the effect of
+    rounding of the model's entries.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])

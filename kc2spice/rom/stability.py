@@ -98,7 +98,9 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     if not result.has_uncoupled_motion:
         return pencil.poles(omega)
     return np.asarray(
-        np.r_[result.leading(result.free).poles(omega), result.without_free_motion.poles(omega)]
+        np.r_[
+            result.leading_model(result.free).poles(omega), result.without_free_motion.poles(omega)
+        ]
     )
 
 

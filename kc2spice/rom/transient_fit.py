@@ -7,8 +7,8 @@ With the power P switched on or off at t = 0, the temperature is::
 1. Least squares without negative R_k on a logarithmic grid of time constants (C. L. Lawson, R. J.
    Hanson, Solving Least Squares Problems, 1974, chapter 23) describe the samples as well as any
    network does. Few R_k are not zero.
-2. The noise follows from the differences of successive residuals of this sum. They contain no slow
-   deviation.
+2. The noise follows from the differences of successive residuals of this sum. The groups contain
+no slow deviation.
 3. Neighbours on the grid are joined. The logarithms of all R_k and t_k are refined by bounded least
    squares.
 4. The two neighbours whose sum describes the samples best are joined, and so on. The sum with the

@@ -51,7 +51,7 @@ class CataloguePart:
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
     @property
-    def stem(self) -> str:
+    def scene_name(self) -> str:
         """Name of the scene of the part."""
         return make_identifier(self.number, "part")
 

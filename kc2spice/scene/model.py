@@ -855,8 +855,8 @@ class PartType(Generic[KeysT]):
     def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         """Return the force waveform [N] that the part exerts at each of its mechanical pins.
 
-        The forces are keyed by pin. Each is the sum of the results that leave the part at the pin.
-        Pins without a result are absent.
+        The forces are keyed by pin. Each flow is the sum of the results that leave the part at the
+        pin. Pins without a result are absent.
         """
         result = {}
         for pin in build.scene.pins(part.name):

@@ -72,7 +72,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
         return (
             open_scene(part.scene)
             if part.scene
-            else SceneFile(f"part {part.number}", part.stem, part.text, Path.cwd())
+            else SceneFile(f"part {part.number}", part.scene_name, part.text, Path.cwd())
         )
     try:
         text = decode_text(read_bounded(path, MAX_TEXT_BYTES))

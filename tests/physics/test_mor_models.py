@@ -136,7 +136,7 @@ def test_random_models_are_stable_and_passive_at_every_order(seed, step):
         claim = found.proof(order)
         assert claim.stable
         assert claim.passive
-        rom = found.pencil.leading(order)
+        rom = found.pencil.leading_model(order)
         K, E, M = (omega**k * P for k, P in enumerate(rom.coefficients))
         poles = oracle.poles((K, E, M))
         assert (poles.real <= 1e-9 * np.abs(poles)).all()  # rounding of poles on the axis

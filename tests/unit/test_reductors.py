@@ -66,7 +66,7 @@ def test_balanced_truncation_is_between_its_bounds_by_hankel_singular_values():
     s = 1j * np.r_[0.0, np.geomspace(1e-4, 1e4, 4000)]
     exact = np.array([(C @ np.linalg.solve(p * np.eye(12) - A, B))[0, 0] for p in s])
     for order in (1, 2, 3, 5):
-        error = np.abs(basis.leading(order).transfer(s)[:, 0, 0] - exact).max()
+        error = np.abs(basis.leading_model(order).transfer(s)[:, 0, 0] - exact).max()
         assert hankel[order] * (1 - 1e-6) <= error <= 2 * hankel[order:].sum() * (1 + 1e-6)
 
 
@@ -91,7 +91,7 @@ def test_block_krylov_matches_two_moments_for_each_block(blocks):
     matrices, top = chain()
     matrices = matrices | {"M": np.diag(np.linspace(1.0, 2.0, 40))}
     parts = matrices | {"E": None, "rayleigh": (0.0, 0.02)}
-    rom = BlockKrylov().basis(task_of(parts, top)).pencil.leading(2 * blocks)
+    rom = BlockKrylov().basis(task_of(parts, top)).pencil.leading_model(2 * blocks)
 
     def moments(K, M, B, C):
         x = np.linalg.solve(K, B)
@@ -118,7 +118,7 @@ def test_rational_krylov_interpolates_value_and_slope_at_its_points():
         return B.T @ np.linalg.solve(K + s * E + s * s * M, B)
 
     static, point = 2 * 2, 2 * 4  # real vectors at zero and at a complex point of two ports
-    rom = basis.leading(static + point)
+    rom = basis.leading_model(static + point)
     x = np.linalg.solve(K + end * E + end**2 * M, B)
     slope = -x.T @ (E + 2 * end * M) @ x
     step = 1e-5 * end

@@ -413,8 +413,8 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
 def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
     """Return the function that converts the two fields of an entry to its value.
 
-    A real matrix uses the first field. A complex matrix uses both, as real and imaginary part or as
-    magnitude and angle [degrees].
+    A real matrix uses the first field. A complex matrix uses both fields: real and imaginary part,
+    or magnitude and angle [degrees].
     """
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}")

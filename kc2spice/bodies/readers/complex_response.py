@@ -3,8 +3,8 @@
 The input is tables of a file, or vectors with titles. The output is a :class:`MeasuredResponse`. A
 file with two possible meanings is rejected, and the error describes both.
 
-The gain through a shunt is measured with a resistor R in series with the part. It is the voltage
-across the shunt relative to that of the source::
+The gain through a shunt is measured with a resistor R in series with the part. The gain is the
+voltage across the shunt divided by the source voltage::
 
     g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
 

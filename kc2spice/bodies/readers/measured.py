@@ -105,7 +105,7 @@ class MeasuredAdmittance(EqualByContent):
     def admittance_noise(self) -> np.ndarray:
         """Standard deviation (n, ports, ports) [S] of one component of each entry of Y.
 
-        It is the first-order effect of independent noise of the measured entries::
+        The deviation is the first-order effect of independent noise of the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 

@@ -117,7 +117,7 @@ def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
     return x, y, z
 
 
-class _Sets(dict[str, list[int]]):
+class _NodeSets(dict[str, list[int]]):
     """Node sets, keyed by name, with a limit of their size.
 
     The limit is necessary because a short text may define a large range.
@@ -133,7 +133,7 @@ class _Sets(dict[str, list[int]]):
 def _parse_keywords(data: bytes) -> Content:
     """Parse an input file of Abaqus or CalculiX."""
     nodes: Nodes = {}
-    sets = _Sets()
+    sets = _NodeSets()
     keyword, options, instances = "", dict[str, str](), 0
     for line in _decode_lines(data):
         if line.startswith("**") or not line.strip():
@@ -185,7 +185,7 @@ def _parse_blocks(data: bytes) -> Content:
     NBLOCK has ``i,i,i,x,y,z`` in fixed fields.
     """
     nodes: Nodes = {}
-    sets = _Sets()
+    sets = _NodeSets()
     lines = iter(_decode_lines(data))
     for line in lines:
         head = line.upper()

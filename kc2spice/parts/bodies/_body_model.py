@@ -130,7 +130,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
         """Least upper end of the band of a transient [Hz]; None if the user set the band.
 
-        It does not depend on the natural frequencies of the body.
+        The band does not depend on the natural frequencies of the body.
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None

@@ -220,7 +220,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         finer = None
         if unknowns <= most:
             try:
-                doubled = with_values(part, {key: STATE_FACTOR * _count_of_key(part, key)})
+                doubled = with_values(part, {key: STATE_FACTOR * _read_count(part, key)})
                 with clock.time_stage("full model", f"{part.name}: mesh half as wide"):
                     finer = self.full(doubled, build.scene, clock).facts
             except UsageError as error:
@@ -242,7 +242,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
-def _count_of_key(part: Part, key: str) -> int:
+def _read_count(part: Part, key: str) -> int:
     """Return the value of a dotted key of a part, a number of pieces."""
     value: Any = part.keys
     for name in key.split("."):

@@ -237,8 +237,8 @@ def find_field_problems(
 ) -> Iterator[UsageError]:
     """Yield the error of the key ``fields``.
 
-    It is accepted in transients only. With ``shapes``, the value ``true`` is also accepted in ac
-    analyses, for the shapes of modes.
+    The key is accepted only in transients. With ``shapes``, the value ``true`` is also accepted in
+    ac analyses, for the shapes of modes.
     """
     kind, instants = scene.analysis.type, chosen_instants(part)
     drawn = shapes and kind == "ac" and not instants

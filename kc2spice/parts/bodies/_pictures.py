@@ -102,7 +102,8 @@ def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
 def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     """Plot displacements, voltage and current of the ports of ``name``.
 
-    They are drawn over the shortest interval that includes every swing above 2 % of the largest.
+    Waveforms are drawn over the shortest interval that includes every swing above 2 % of the
+    largest.
     """
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:

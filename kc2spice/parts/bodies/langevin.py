@@ -87,7 +87,7 @@ class Rings(Piece):
 
 class Bolt(Piece):
     """The bolt along the axis; it reaches ``depth`` into the front mass and through the whole back
-    mass. Its head, if any, lies on the end of the back mass."""
+    mass. The head of the bolt, if any, is at the end of the back mass."""
 
     diameter: Width = Field(gt=0, description="Diameter of the shank of the bolt")
     depth: Width | None = Field(

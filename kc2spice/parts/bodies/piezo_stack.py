@@ -393,7 +393,7 @@ class PiezoStack(MeshedBody[Stack]):
 def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
     """Speed [m/s] of a kick: the free stroke over ``4 H / c``, or over a longer edge of its pulse.
 
-    It is None without a voltage.
+    The speed is None without a voltage.
     """
     voltage = highest_voltage(part, scene)
     if not voltage:

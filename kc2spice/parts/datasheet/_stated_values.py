@@ -60,7 +60,7 @@ class StatedValues:
         UsageError : too few values, or values that contradict each other or match no circuit.
         """
         self._require_computable()
-        self._require_enough()
+        self._require_enough_values()
         result = self._fitted
         self._require_solution(result)
         self._require_agreement(result)
@@ -136,7 +136,7 @@ class StatedValues:
                     hint="check the value and its unit",
                 )
 
-    def _require_enough(self) -> None:
+    def _require_enough_values(self) -> None:
         x, rank = np.log(self.start), self._rank(np.log(self.start))
         if rank == x.size:
             return

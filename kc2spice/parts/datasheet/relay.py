@@ -113,8 +113,9 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
     """Coil, armature and contacts; the armature is at 0 at rest and at 1 when it has operated.
 
-    It moves towards 1 while the voltage of the resistance is above the pick-up voltage, or above
-    the release voltage and the armature is beyond the middle. Contacts switch in the middle.
+    The armature moves towards 1 while the voltage of the resistance is above the pick-up voltage,
+    or above the release voltage and the armature is beyond the middle. Contacts switch in the
+    middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"

@@ -172,7 +172,7 @@ OVERDRIVE_ADVICE = (
 
 
 class Load(NamedTuple):
-    """Load between ``drive`` and ``ret``: both coils in series, the lower one reversed."""
+    """Load between ``drive`` and ``ret``: both coils in series, the lower coil reversed."""
 
     inductance: float  # H
     resistance: float  # Ohm

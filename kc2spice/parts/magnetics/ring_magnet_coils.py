@@ -298,14 +298,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
-    def _unit(self, part: Part[Coils], count: int) -> Catch:
+    def _make_unit_catch(self, part: Part[Coils], count: int) -> Catch:
         """Keys on which a table depends, besides the sphere's radius."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
         """Keys on which the force table depends."""
-        catch = self._unit(part, part.keys.positions).model_dump(mode="json")
+        catch = self._make_unit_catch(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
@@ -315,7 +315,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         ``DENSITY_RATIO**4`` times smaller. Air box and ring move together.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
-        unit = self._unit(part, count)
+        unit = self._make_unit_catch(part, count)
         key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> EMTable:
@@ -427,7 +427,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             "positions": count_compared_positions(keys.positions),
             "refine": REFINEMENT_RATIO * keys.refine,
         }
-        unit = self._unit(part, settings["positions"]).model_copy(update=settings)
+        unit = self._make_unit_catch(part, settings["positions"]).model_copy(update=settings)
         key = {**self.model_key(part, build.scene), "finer": settings}
 
         def finer() -> EMTable:

@@ -446,8 +446,8 @@ def _check_open_ports(
 def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield checks of the indentation, for a law of pressure.
 
-    The law holds until the contact is as wide as half of its patch. It is inaccurate if a few basis
-    functions carry the contact (:data:`FUNCTIONS_PER_RADIUS`).
+    The law holds until the contact is as wide as half of its patch. The law is inaccurate if a few
+    basis functions carry the contact (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:

@@ -52,7 +52,7 @@ class Reductor(ABC):
     def applies_to(self, task: Task) -> bool:
         """Return whether the method applies to this model.
 
-        By default it applies if there is no obstacle.
+        By default a method applies if there is no obstacle.
         """
         return not self.obstacle(task)
 

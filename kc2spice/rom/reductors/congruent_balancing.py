@@ -1,6 +1,6 @@
 """Balanced truncation of symmetric models of first order, such as networks of R and C.
 
-Both Gramians of such a model are equal. Its balanced coordinates are therefore orthonormal in E,
+Both Gramians of such a model are equal. The balanced coordinates are therefore orthonormal in E,
 and truncation preserves symmetry, real poles and passivity.
 """
 

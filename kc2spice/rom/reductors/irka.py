@@ -81,7 +81,7 @@ class OptimalModels(ReducedBasis):
     ``pencil`` is balanced: its leading parts are the starts of the iteration.
     """
 
-    def leading(self, order: int) -> Response:
+    def leading_model(self, order: int) -> Response:
         """Return the response of the optimal model of this order."""
         if order not in self.responses:
             self.responses[order] = Response(self._optimal(order))
@@ -111,9 +111,9 @@ class OptimalModels(ReducedBasis):
         model."""
         count = order - self.pencil.free
         if count <= 0:
-            return self.pencil.leading(order)
+            return self.pencil.leading_model(order)
         full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
-        balanced = self.pencil.without_free_motion.leading(count)
+        balanced = self.pencil.without_free_motion.leading_model(count)
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf

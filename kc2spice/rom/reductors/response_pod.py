@@ -93,7 +93,7 @@ class ResponsePod(Reductor):
             or basis.error(size) > EXTRA_ERROR_SHARE * tolerance
         ):
             return basis, order
-        pencil, task = basis.pencil.leading(size), basis.task
+        pencil, task = basis.pencil.leading_model(size), basis.task
         response = Response(pencil)
         points = snapshots(task.estimator, response, tail_weight(task.fom, tolerance))
         s, inside = points.s, slice(points.inside.size)
@@ -109,7 +109,7 @@ class ResponsePod(Reductor):
             projected = replace(pencil.project(V), free=pencil.free)
             trial = replace(basis, pencil=projected, vectors=turned)
             while order > least:
-                fewer = Response(trial.pencil.leading(order - 1)).transfer(s[inside])
+                fewer = Response(trial.pencil.leading_model(order - 1)).transfer(s[inside])
                 error = np.abs(fewer - H) / base
                 if error.max() > tolerance or not trial.is_acceptable(order - 1, tolerance):
                     break

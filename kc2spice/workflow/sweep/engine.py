@@ -333,8 +333,8 @@ def run_sweep(
     """Run all points of a sweep that are not finished, and write its table.
 
     Each finished row is written to ``out/rows.sqlite``. The table, its figures and ``sweep.html``
-    appear after the last row. The same call continues a sweep that was interrupted. It repeats
-    points that failed because of the machine.
+    appear after the last row. The same call continues a sweep that was interrupted. A repeated
+    command runs points again that failed because of the machine.
 
     Parameters
     ----------

@@ -200,7 +200,7 @@ def _give_temperatures(
 def leakage_share(frequency: np.ndarray) -> float:
     """Return the share of the current of an electrical port that flows through its leak.
 
-    It is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
+    The share is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
     """
     return float(LEAK_RATE / (2 * np.pi * frequency.min()))
 

@@ -80,8 +80,8 @@ def list_gate_checks(
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """Return the difference that a gate limits.
 
-    The difference is nan if only one solution has a value. It is None if neither solution has a
-    value, such as the launch velocity of a body without a launch.
+    The difference is nan if only one solution has a value. The difference is None if neither
+    solution has a value, such as the launch velocity of a body without a launch.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]

@@ -167,7 +167,7 @@ def _find_last_rest(
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.
 
-    Until that time the full and the reduced models agree. The time is 0 and the state None if a
+    Before this time, the full and the reduced models agree. The time is 0 and the state None if a
     load changes at once, or if no load changes.
     """
     waves, time = run.waves, run.time

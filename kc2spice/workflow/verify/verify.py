@@ -25,7 +25,7 @@ from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import Flat, read_checked_circuit
+from kc2spice.netlist.include_scan import FlatCircuit, read_checked_circuit
 from kc2spice.netlist.library import Subcircuit, parse_subcircuits
 from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
@@ -133,7 +133,7 @@ def verify_scenes(
         return write_record({"passed": passed, "scenes": records}, work, "verify.json")
 
 
-def _included_subcircuits(flat: Flat) -> tuple[Subcircuit, ...]:
+def _included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
     """Return the subcircuits of the files that a deck includes."""
     files: dict[str, list[str]] = {}
     for line in flat.lines:
