@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 
-from kc2spice.core.domains import TRANSLATION, Domain
+from kc2spice.core.domains import HEAT, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.compose import Groups
 from kc2spice.scene.model import GROUND, Scene
@@ -122,17 +122,20 @@ def _storage_errors(
 ) -> Iterator[UsageError]:
     """Yield the reason why floating temperatures or pressures have no operating point.
 
-    Without a constant flow they have an operating point: small signals and pulses are stored.
+    Without a constant flow they have an operating point: small signals and pulses are stored. The
+    losses of a part count as a constant flow, because they follow from the operating point.
     """
     kind, domain = scene.analysis.type, result.domain
-    pushed = _list_loads(group, scene, rests)
+    losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
+    pushed = list(dict.fromkeys([*_list_loads(group, scene, rests), *losses]))
     if kind not in ("op", "dc") and not pushed:
         return
     ends = (key for key, terminal in scene.terminals.items() if terminal.domain is domain)
     pin = next(end for end in ends if scene.nets[end] in group)
     flow = domain.through_variable.name.replace("_", " ")
     stored = next((name for name in result.parts if name not in pushed), result.parts[0])
-    later = "" if kind in ("op", "dc", "ac", "noise") else f"; or a {flow} that is zero at t = 0"
+    zero = kind not in ("op", "dc", "ac", "noise") and not losses
+    later = f"; or a {flow} that is zero at t = 0" if zero else ""
     yield UsageError(
         f"{domain.adrift.format(part=stored)}, so the scene has no operating point",
         where=stored,

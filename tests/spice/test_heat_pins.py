@@ -279,8 +279,11 @@ def test_bad_joins_and_keys_of_heat_are_refused(kind, pins, keys, words):
         kc.deck(scene_of(parts, solver={"stop": "1 ms"}))
 
 
-def test_heat_without_a_path_to_the_ambient_temperature_is_refused():
-    scene = scene_of(resistor(), analysis={"type": "op"})
+@pytest.mark.parametrize("tables", [{"analysis": {"type": "op"}}, {"solver": {"stop": "1 ms"}}])
+def test_heat_without_a_path_to_the_ambient_temperature_is_refused(tables):
+    scene = scene_of(resistor(), **tables)
     del scene["path"]
-    with pytest.raises(UsageError, match="heat cannot flow from"):
-        kc.run(scene)
+    with pytest.raises(UsageError, match="heat cannot flow from") as caught:
+        kc.load_scene(scene)
+    assert "heat flow of r" in str(caught.value)
+    assert "thermal_resistor" in caught.value.hint
