@@ -108,3 +108,12 @@ def test_the_citation_is_complete():
     ):
         assert re.search(f"(?m)^{re.escape(key)}", text), key
     assert "10.3390/act10110279" in text
+
+
+def test_functions_in_tables_of_modules_exist():
+    """Cells such as ``kc2spice/workflow/run.py`` `run_scene`: the module contains the function."""
+    for page in PAGES:
+        for module, words in re.findall(r"`(kc2spice/[\w/]+\.py)`((?: `\w+`,?)+)", prose(page)):
+            source = (ROOT / module).read_text(encoding="utf-8")
+            for name in re.findall(r"`(\w+)`", words):
+                assert re.search(rf"\b(def|class) {name}\b", source), f"{page}: {module} {name}"
