@@ -46,6 +46,7 @@ NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"
 SYMBOLS, PAGE = NETLISTS / "kc2spice.kicad_sym", NETLISTS / "README.md"
 SHOWN = ("impact", "buzzer_7bb_20_6")  # the scenes that stand in every dialect
 RANGES = Path(__file__).with_name("netlist_ranges.toml")
+SOUND_TYPES = ("radiation", "listener")
 FOLDER = "${KC2SPICE_NETLISTS}"
 # Scenes in the folder of another one, with which they have their libraries in common.
 SHARED = {
@@ -78,6 +79,8 @@ def shipped(scene: str) -> Scene:
     """The scene whose libraries are committed, with the parameters of :data:`RANGES`."""
     table = tomllib.loads(RANGES.read_text(encoding="utf-8"))
     plain, changes = load_scene(scene), dict[str, Any]()
+    if scene in table:
+        plain = without_sound(plain)
     for name, ranges in table.get(scene, {}).items():
         part = plain.parts[name]
         for number, layer in enumerate(part.keys.layers):
@@ -87,7 +90,30 @@ def shipped(scene: str) -> Scene:
         band = list(part.type.reduction(part, plain).band)
         rom = {"tolerance": table["tolerance"], "band": band, "parameters": ranges}
         changes[f"{name}.rom"] = rom
-    return load_scene(scene, changes) if changes else plain
+    return load_scene(plain, changes) if changes else plain
+
+
+def without_sound(scene: Scene) -> Scene:
+    """The scene without its acoustic parts: libraries with parameters have electrical pins alone.
+
+    A reduction over ranges of a face beside its electrodes would take ten minutes for each disc.
+    """
+    silent = {name for name, part in scene.parts.items() if part.type.name in SOUND_TYPES}
+    tables = {name: table for name, table in scene.tables.items() if name not in silent}
+    for name in scene.parts.keys() & tables.keys():
+        pins = tables[name].get("pins", {})
+        joined = {pin: target for pin, target in pins.items() if not _names(target, silent)}
+        tables[name] = {**tables[name], "pins": joined}
+    heard = {}
+    for name, probe in scene.tables.get("probes", {}).items():
+        if not _names(probe["of"], silent):
+            heard[name] = probe
+    return load_scene({**tables, "probes": heard, "title": scene.title.replace(" and sound", "")})
+
+
+def _names(target: str, parts: set[str]) -> bool:
+    """Whether a pin or a result belongs to one of these parts."""
+    return target.partition(".")[0] in parts
 
 
 def scene_files(scene: str, out: Path) -> list[Path]:
@@ -101,11 +127,12 @@ def scene_files(scene: str, out: Path) -> list[Path]:
 
 def example_files(scene: str, out: Path) -> None:
     """A scene in every other dialect: KiCad's project and LTspice's libraries stand alone, too."""
+    plain = without_sound(load_scene(scene))
     for dialect in filter(NGSPICE.__ne__, dialect_names()):
-        export_scene(load_scene(scene), out / dialect, dialect)
+        export_scene(plain, out / dialect, dialect)
     with TemporaryDirectory() as place:
         (out / "kicad").mkdir()
-        for path in export_scene(load_scene(scene), Path(place)):
+        for path in export_scene(plain, Path(place)):
             if "kicad" in path.name or path.suffix in (".wbk", "") or _is_library(path):
                 shutil.copy(path, out / "kicad")
 

@@ -152,13 +152,12 @@ def describe_piston_difference(name: str, radiation: str, levels: FaceLevels) ->
     """Return the warning that a face does not move like a piston; empty if it does."""
     if levels.piston_share >= MIN_PISTON_SHARE and abs(levels.worst) <= PISTON_TOLERANCE:
         return ""
+    worst, sign = abs(levels.worst), "less" if levels.worst < 0 else "more"
     return (
-        f"{name} does not move like the piston {radiation}: at "
-        f"{format_quantity(levels.resonance, 'Hz')}, its mean velocity is "
-        f"{levels.piston_share:.2g} of its rms velocity, and a piston with this rms velocity has "
-        f"{1 / levels.piston_share:.2g} times its volume velocity. The radiated power differs by "
-        f"{levels.worst:+.1f} dB at {format_quantity(levels.worst_frequency, 'Hz')}, the pressure "
-        "on the axis does not"
+        f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
+        f"velocity is {levels.piston_share:.2g} of that of a piston with its rms velocity. It "
+        f"radiates {worst:.1f} dB {sign} power than {radiation} at "
+        f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis"
     )
 
 
