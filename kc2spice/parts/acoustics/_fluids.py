@@ -75,11 +75,16 @@ class FluidTable(Section):
         return self.conductivity / (self.density * self.specific_heat)
 
     @property
+    def is_gas(self) -> bool:
+        """Whether the density is that of a gas."""
+        return self.density < LARGEST_GAS_DENSITY
+
+    @property
     def level_reference(self) -> float:
         """Rms pressure [Pa] at 0 dB."""
         if self.reference_pressure is not None:
             return self.reference_pressure
-        return GAS_REFERENCE if self.density < LARGEST_GAS_DENSITY else LIQUID_REFERENCE
+        return GAS_REFERENCE if self.is_gas else LIQUID_REFERENCE
 
     @property
     def words(self) -> str:

@@ -116,12 +116,16 @@ class LinearBody(BodyChecks[LinearKeysT]):
             {"resonance_hz": LargestRealPart(result)} if self._is_driven_alone(part, build) else {}
         )
 
+    def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
+        """Return the pins whose loads do not change which resonance is the largest."""
+        return set()
+
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
         """Whether a source alone drives the body and its resonance is the largest conductance."""
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
-        pins = names_of(scene.pins(part.name))
+        pins = set(names_of(scene.pins(part.name))) - self.lightly_loaded_pins(part, scene)
         joined = {pin: scene.joined(part.name, pin) for pin in pins}
         port = paired_ports(model.ports)[0]
         plus, minus = port.terminals

@@ -60,6 +60,11 @@ class SoundingBody(LinearBody[FieldKeysT]):
                     result[port.name] = name, keys
         return result
 
+    def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
+        """Return the pins of faces that radiate into a gas."""
+        radiations = self.radiations(part, scene)
+        return {port for port, (_, keys) in radiations.items() if keys.fluid.is_gas}
+
     def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
         """Return the differences of each radiating face from a piston, by the name of its port."""
         result = {}
