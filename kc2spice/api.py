@@ -1,7 +1,7 @@
 """Public functions of kc2spice, named like the commands of the command line.
 
-``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. Exceptions are those
-of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
+``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. Exceptions are
+classes of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
 """
 
 from __future__ import annotations
@@ -439,7 +439,7 @@ class Result:
 
         Raises
         ------
-        UsageError : no such wave or figure, or a single point.
+        UsageError : the wave or figure does not exist, or there is a single point.
         """
         from kc2spice.report.figures import make_notebook_figure
         from kc2spice.report.run_page import plot_probes

@@ -14,7 +14,7 @@ of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 boxes along the axes, in a body of revolution in the plane (radius, height). All blocks are on one
 grid of quadratic quadrilaterals or hexahedra. The lines of the grid contain every edge of a block,
 an electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors
-and electrodes are equipotentials, and other insulators carry no field (:mod:`kc2spice.fem.solid`).
+and electrodes are equipotentials, and other insulators have no field (:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations
@@ -520,7 +520,7 @@ class BondedBlocks:
         Raises
         ------
         UsageError : electrodes that touch each other; in a body of revolution a material that is
-            not isotropic about its axis; edges in another order than those of :attr:`like`.
+            not isotropic about its axis; edges in another order than in :attr:`like`.
         """
         grid = self.grid or self._divide_axes()
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())

@@ -97,7 +97,7 @@ def correct_responses(
 
 
 class Blocks(NamedTuple):
-    """Matrix of four sparse blocks: unknowns of the mesh first, then those of the functions."""
+    """Matrix of four sparse blocks: unknowns of the mesh first, then unknowns of the functions."""
 
     mesh: sparse.sparray
     right: sparse.sparray

@@ -301,7 +301,7 @@ def _evaluate_quantity(
 
 
 def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
-    """Choose samples at equal distances in time, and those of highest energy."""
+    """Choose samples at equal distances in time, and samples of highest energy."""
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
     energy = energy / (energy.max() or 1.0)

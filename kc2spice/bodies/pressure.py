@@ -9,17 +9,17 @@ by the same ``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
-where S is that of a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is
-the compliance of the patch on the coarse mesh of the same round stack. The sum restores the
-compliance that the coarse mesh lacks. The difference between the round stack and the real one is
-smooth, and thus equal for all basis functions. This part of the motion is dynamic, and the port of
-the patch includes it. The matrix is positive semi-definite because ``S - s 1 1'`` is (s is the
-least compliance of all shares), and because a coarse mesh is too stiff.
+where S is the compliance of a round stack of the same layers on a graded axisymmetric mesh.
+``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum
+restores the compliance that the coarse mesh lacks. The difference between the round stack and the
+real one is smooth, and thus equal for all basis functions. This part of the motion is dynamic, and
+the port of the patch includes it. The matrix is positive semi-definite because ``S - s 1 1'`` is
+(s is the least compliance of all shares), and because a coarse mesh is too stiff.
 
 The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
-the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
-sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
-depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
+the patch are above ten megahertz (speed of sound divided by its size). Therefore only the depth x
+of a sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of
+one depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
 
 The counterpart may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis.
 The quadrilaterals of its mesh grow with the distance from the lowest point. The conformal map
@@ -335,11 +335,11 @@ def fit_indentation_law(
 
 
 def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Forces (depths, n) [N] of a sphere, positive only where it meets the surface.
+    """Forces (depths, n) [N] of a sphere, positive only where it touches the surface.
 
-    With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are those
-    of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this is ``|L'f - L^-1 g|^2 / 2`` but for
-    a constant.
+    With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are the
+    conditions of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this is ``|L'f - L^-1 g|^2 /
+    2`` but for a constant.
     """
     from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 

@@ -115,7 +115,7 @@ class Chip(Section):
     """Keys of the layered piezoelectric stack, of which one quarter is modelled.
 
     Its cross-section is a square of ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a
-    circle of ``diameter``. ``height`` is that of the active layers: ``layers`` times
+    circle of ``diameter``. ``height`` is the height of the active layers: ``layers`` times
     ``layer_thickness`` if this is stated. Poled along z, the axis of the field, the stack becomes
     longer. Poled along x it shears, and the rings move along x.
     """

@@ -48,7 +48,7 @@ class FiniteElementModel:
     def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.
 
-        The columns are those of z (n, k) and of voltages (e, k).
+        The columns belong to z (n, k) and to voltages (e, k).
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:

@@ -127,8 +127,8 @@ def _common_options(
 def _register_command(function: Callable[..., None]) -> Callable[..., None]:
     """Register the command ``name`` of the function ``_name(caller, …)``.
 
-    The options of the command are those of ``PARAMETERS``, and ``--json`` and ``--quiet``. An
-    exception of the command becomes one message and an exit code.
+    The options of the command are listed in ``PARAMETERS``, and ``--json`` and ``--quiet`` are
+    added. An exception of the command becomes one message and an exit code.
     """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:

@@ -140,7 +140,7 @@ def _convert_to_json(value: Any) -> Any:
 def _source_digest(module: str) -> str:
     """Compute the hash of the text of a module, or of all modules of a package.
 
-    A module without a file, such as that of a notebook, gets another hash each time.
+    A module without a file, such as a notebook, gets another hash each time.
     """
     loaded = sys.modules.get(module)
     spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__

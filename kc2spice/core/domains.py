@@ -61,9 +61,9 @@ class Quantity:
 class Domain:
     """Physical domain: quantities on its pins, their power, and the meaning of rest.
 
-    The values of ``across`` are equal on all pins of a net and those of ``through`` sum to zero.
-    ``power`` states the power that enters a part through a pin. ``rest`` describes an operating
-    point.
+    On all pins of a net, the values of ``across`` are equal, and the values of ``through`` sum to
+    zero. ``power`` states the power that enters a part through a pin. ``rest`` describes an
+    operating point.
 
     ``port`` is the kind of a model's port. The input of a port is the ``driven`` quantity; its
     output has the unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the

@@ -35,7 +35,8 @@ class Curve(EqualByContent):
 class Map(EqualByContent):
     """Colours ``z`` (rows, columns) at centres ``x`` (columns,) and ``y`` (rows,).
 
-    The centres ascend. A value that is not finite is grey. ``label`` is that of the colour bar.
+    The centres ascend. A value that is not finite is grey. ``label`` is the label of the colour
+    bar.
     """
 
     x: np.ndarray

@@ -8,7 +8,7 @@ signal.
 
 The assembler stamps bodies and sources into matrices (:mod:`kc2spice.reference.system`). Every
 other law is a :class:`Device`: smooth expressions within a *mode*, and guards whose zeros end the
-mode. A linear device becomes constant matrices as well.
+mode. A linear device also becomes constant matrices.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class Equations:
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A missing pin has no
     counterpart, because another pin represents it or because nothing acts on it. Two pins of the
     part may share a pin of a law: a netlist has a velocity node and a displacement node for one
-    coordinate of the law. ``nets`` are pins of the laws that meet inside of the part. ``results``
-    maps the part's results to waves. ``sweeps`` maps keys that a dc analysis sweeps to the name of
-    a source and its value per SI unit of the key.
+    coordinate of the law. ``nets`` are pins of the laws that are joined inside of the part.
+    ``results`` maps the part's results to waves. ``sweeps`` maps keys that a dc analysis sweeps to
+    the name of a source and its value per SI unit of the key.
     """
 
     laws: tuple[Law, ...] = ()
@@ -129,8 +129,8 @@ class SecondOrderBody:
     of the body are unknowns of the system of equations.
 
     A port with ``D`` must be electrical or acoustic, or its compliance in ``D`` must be positive.
-    Energy and loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``,
-    ``x' K x``.
+    Energy and loss of a heat model are defined like those of a circuit with the same numbers: ``x'
+    E x / 2``, ``x' K x``.
     """
 
     name: str

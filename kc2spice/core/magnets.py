@@ -224,8 +224,8 @@ class EMTable(EqualByContent):
         """Coenergy: integrals over y of the splines.
 
         Integrating the force keeps force and flux exactly consistent and smooths. A differentiated
-        flux would lose an order. The free constants set the mean over the nodes to that of the FE
-        fluxes.
+        flux would lose an order. The free constants make the mean over the nodes equal to the mean
+        of the FE fluxes.
         """
         integrals = self.splines.integral()
         half = self.inductance / 2

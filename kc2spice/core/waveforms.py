@@ -115,8 +115,8 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
     Points of ``over`` may be equal.
 
-    The derivative is that of the parabola through three points, which is accurate to second order
-    in their distance.
+    The derivative is the derivative of the parabola through three points, which is accurate to
+    second order in their distance.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:

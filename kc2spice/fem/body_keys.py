@@ -36,7 +36,7 @@ class Damping(Section):
     two frequencies determine alpha and beta: ``zeta = alpha/(2 omega) + beta omega/2``. With
     ``per_material`` E is the sum of ``K_i/(Q_i omega)`` over the materials i instead.
 
-    ``model = "ieee176"`` is that of complex constants of IEEE Std 176. Q is the same for all modes,
+    ``model = "ieee176"`` means complex constants of IEEE Std 176. Q is the same for all modes,
     and the stiffness is as stated at ``at``, by default the body's first resonance.
     """
 

@@ -2,9 +2,10 @@
 
 The mesh is the same.
 
-The functions are hierarchical: with those of the solid they span the cubic polynomials on triangles
-and tetrahedra, and the products of cubic polynomials on quadrilaterals. Each belongs to an edge, a
-face or the interior of an element and vanishes at all nodes of the solid:
+The functions are hierarchical: together with the functions of the solid, they span the cubic
+polynomials on triangles and tetrahedra, and the products of cubic polynomials on quadrilaterals.
+Each belongs to an edge, a face or the interior of an element and vanishes at all nodes of the
+solid:
 
     l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
     l_i l_j l_k           on faces of tetrahedra and in triangles
@@ -292,7 +293,7 @@ def _tabulate_functions(
 
 
 def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield materials and elements, as many as keep their matrices within ``CHUNK_BYTES``."""
+    """Yield materials and groups of elements whose matrices need at most ``CHUNK_BYTES``."""
     count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.components + 1) ** 2)))
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)

@@ -81,7 +81,7 @@ def compute_catch_table(
 def count_compared_positions(count: int) -> int:
     """Choose a number of heights for the comparison with a coarser mesh.
 
-    At least five of ``count`` equally spaced heights are chosen, which are equally spaced as well.
+    At least five of ``count`` equally spaced heights are chosen, also equally spaced.
     """
     return next(
         (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
@@ -332,7 +332,7 @@ class Bore:
 
     ``bottom`` is the lattice's lowest line and ``rows`` its number of cells of height ``pitch``;
     ``columns`` cells reach from the axis to ``wall``. The mover spans ``half`` up and down from the
-    sphere's centre. ``size`` is the mesh size that 1 stands for in the fractions above.
+    sphere's centre. ``size`` is the unit of the fractions of mesh sizes above.
     """
 
     radius: float

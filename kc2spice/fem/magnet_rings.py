@@ -33,7 +33,7 @@ GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relat
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
 LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
-LAYER_GROWTH = 1.35  # ratio of the thickness of a layer to that of the layer above
+LAYER_GROWTH = 1.35  # ratio of the thickness of a layer to the thickness of the layer above
 # largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
 MAX_SPHERE_RINGS = 1500
 MAX_RINGS = 3000  # largest number of rings, with dense matrices of 70 MB each
@@ -278,11 +278,12 @@ class Winding:
 class Ladder(EqualByContent):
     """A conducting body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m.
 
-    ``inductance`` (c, c) [H] is that of the coils. ``couplings`` (c, k, degree + 1), with magnets
-    (c + 1, k, degree + 1), are polynomials of ``2 (y - low) / (high - low) - 1``, lowest power
-    first. ``error`` is the largest change of the coils' flux and of the force by more loops, up to
-    ``frequency`` [Hz], relative to the largest. ``rings`` is the number of rings of the body, and
-    ``rough`` the error of flux, force and loss that the rings are estimated to cause.
+    ``inductance`` (c, c) [H] is the inductance of the coils. ``couplings`` (c, k, degree + 1),
+    with magnets (c + 1, k, degree + 1), are polynomials of ``2 (y - low) / (high - low) - 1``,
+    lowest power first. ``error`` is the largest change of the coils' flux and of the force by more
+    loops, up to ``frequency`` [Hz], relative to the largest. ``rings`` is the number of rings of
+    the body, and ``rough`` the error of flux, force and loss that the rings are estimated to
+    cause.
     """
 
     rates: np.ndarray
@@ -393,7 +394,7 @@ def reduce_to_loops(
     The turns of ``magnets`` are amperes on their surfaces, and their coupling to the loops is a
     flux [Wb]. The subspace of the body's currents contains the responses to each coil, and to the
     magnets, at several heights and frequencies. The number of loops is as small as the
-    ``tolerance`` allows. The loops are the modes in the subspace: their energy and loss are those
+    ``tolerance`` allows. The loops are the modes in the subspace: their energy and loss are values
     of possible currents.
 
     Raises

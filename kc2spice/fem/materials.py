@@ -53,7 +53,7 @@ from kc2spice.core.quantities import (
 TENSOR_ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
 
 # Point groups of data sheets, and the class below with the same free components. "32" is the group
-# of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
+# of quartz (3m has other piezoelectric components), "6mm" the group of poled ceramics.
 _POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",

@@ -39,13 +39,13 @@ def extract_mesh(
 
     Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
     corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
-    each block; ``numbers``, those of the elements in the file; ``group<k>``, numbers of such
+    each block; ``numbers``, the numbers of the elements in the file; ``group<k>``, numbers of such
     elements or nodes (elements, corners); and ``record``, JSON: name and dimension of each group.
-    Triangles beside quadrilaterals repeat their last corner.
+    Triangles in a mesh with quadrilaterals repeat their last corner.
 
     Raises
     ------
-    UsageError : there is nothing to mesh, a selection is empty, or elements have an unsupported
+    UsageError : there are no solids to mesh, a selection is empty, or elements have an unsupported
     shape.
     """
     with gmsh_session() as gmsh:

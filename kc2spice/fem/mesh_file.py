@@ -97,7 +97,7 @@ class GroupedMesh:
 
         Raises
         ------
-        UsageError : there is no such group, it is empty, or it has another codimension.
+        UsageError : the group does not exist, is empty, or has another codimension.
         """
         result = self.groups.get(name)
         if not self.groups:

@@ -9,12 +9,12 @@ error in the energy product
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
 of two solutions. A fit stays within one piece of materials of one name, in which no strain jumps.
-In layers of one name, whose coupling is s times that of the first, the field times s is continuous,
-as in a stack with alternating poling and electrodes. Elements of first order need these neighbours,
-because their field in a layer is constant. With elements of second order each layer is a piece:
-strain and field jump at electrodes by the change of the mean strain from layer to layer. Sources:
-O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F.
-Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
+In layers of one name, whose coupling is s times the coupling of the first, the field times s is
+continuous, as in a stack with alternating poling and electrodes. Elements of first order need
+these neighbours, because their field in a layer is constant. With elements of second order each
+layer is a piece: strain and field jump at electrodes by the change of the mean strain from layer
+to layer. Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E.
+Wiberg and F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use ``solver`` for all factors that are made meanwhile.
 
-    The name ``"pardiso"`` stands for :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
+    The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
     solver of the surrounding context remains, by default the built-in solvers.
 
     Raises

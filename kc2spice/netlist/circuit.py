@@ -59,7 +59,8 @@ class Element(Card):
     ``kind`` is its letter in lower case, ``values`` are the words after the nodes, ``parameters``
     the assignments after the values. A behavioural source (B, or E and G with an expression) has
     the ``quantity`` V or I that its ``expression`` gives. Names keep their letter case.
-    ``unit`` is the unit of the values if it differs from that of the simulator (V, A, Ohm, F, H).
+    ``unit`` is the unit of the values if it differs from the unit of the simulator (V, A, Ohm, F,
+    H).
     """
 
     kind: str

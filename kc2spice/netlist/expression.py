@@ -330,7 +330,7 @@ class _Parser:
         raise self.error("something expected")
 
     def parse_name_or_call(self, name: str) -> Tree:
-        """Parse what follows a name."""
+        """Parse the text after a name: a function call or nothing."""
         if self.accept("(") is None:
             return Name(name)
         if name.lower() in ("v", "i"):

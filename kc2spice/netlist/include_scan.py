@@ -353,7 +353,7 @@ def read_checked_circuit(
     Parameters
     ----------
     trust : whether the circuit is used without checks, because its user trusts it.
-    home : directory of the circuit and its includes, by default that of ``path``.
+    home : directory of the circuit and its includes, by default the directory of ``path``.
 
     Raises
     ------

@@ -15,7 +15,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
     """Describe a node of a deck: the part that contains it and the nearest pins.
 
     ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
-    the current of a source. The result is None if the deck has no such node.
+    the current of a source. The result is None if the deck does not have this node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
     if path and len(path[0]) == 1:  # name of a device: its letter precedes the instance

@@ -129,9 +129,9 @@ def reduce(
     Returns
     -------
     LinearModel or Varying
-        Reduced model with the ports of ``model`` and with a ``certificate``. That of an affine
-        model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at values of the
-        parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
+        Reduced model with the ports of ``model`` and with a ``certificate``. The result for an
+        affine model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at
+        values of the parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
 
     Raises
     ------

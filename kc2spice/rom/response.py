@@ -360,7 +360,7 @@ def sample_band(
 ) -> np.ndarray:
     """Choose frequencies [Hz] of a grid, and at multiples of half widths.
 
-    The widths are those of resonances inside the band. Poles without damping are avoided.
+    The widths belong to resonances inside the band. Poles without damping are avoided.
     """
     at, ratio = response.within(band)
     points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))

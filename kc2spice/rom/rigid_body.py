@@ -60,7 +60,7 @@ class RigidBodySplit(NamedTuple):
 def split_rigid_body(
     pencil: Pencil, omega: float, rounding: Rounding | None = None
 ) -> RigidBodySplit:
-    """Transform a dense pencil so that its rigid-body motion comes first.
+    """Transform a dense pencil so that its first unknowns are the rigid-body motion.
 
     The result is the pencil itself if no motion is free.
 

@@ -8,7 +8,7 @@ which is exact at its resonance, and relaxations if these are closer
 several materials couple modes; that part is viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
 An RC ladder or an overdamped chain has real poles only. If its inertia changes nothing in the band,
-``E x' + K x = B u`` has half of the states per unknown, and is passive as well.
+``E x' + K x = B u`` has half of the states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """

@@ -12,8 +12,8 @@ springs in series with dampers (generalised Maxwell model),
     chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0,
 
 passive by its form, whose amplitudes are non-negative least squares over the band. With one inner
-displacement for each term and unknown, that of the damper times ``sqrt(c_k)``, ``K chi`` is a
-symmetric model of constant matrices:
+displacement for each term and unknown, the displacement of the damper times ``sqrt(c_k)``, ``K
+chi`` is a symmetric model of constant matrices:
 
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0

@@ -7,12 +7,12 @@ other responses to the ports' loads.
 
 Modes that come close to each other anywhere in the ranges form a block. The frame of a block
 rotates smoothly with the parameters, because it is the frame nearest to that at the middle of the
-range. Thus nothing jumps if frequencies cross or repel. All other modes are separate resonators.
-The stiffness of a block is ``L L'``. Polynomials give the logarithms of the diagonal of L, of the
-clamped capacitances' Cholesky factor and of the damping. Masses, stiffness and damping are
-therefore positive everywhere in the ranges, and the form of the model proves it passive. (Nearest
-frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are analytic where a gap
-stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+range. Thus the functions do not jump if frequencies cross or repel. All other modes are separate
+resonators. The stiffness of a block is ``L L'``. Polynomials give the logarithms of the diagonal
+of L, of the clamped capacitances' Cholesky factor and of the damping. Masses, stiffness and
+damping are therefore positive everywhere in the ranges, and the form of the model proves it
+passive. (Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are
+analytic where a gap stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
 """
 
 from __future__ import annotations
@@ -320,7 +320,7 @@ class _DenseModes:
 class _ModesOverRanges:
     """Modes of a dense model over its ranges.
 
-    ``count`` is the number of modes in the band, which are modes of the result as well.
+    ``count`` is the number of modes in the band, which are also modes of the result.
     """
 
     def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:

@@ -909,7 +909,7 @@ class PartType(Generic[KeysT]):
 
         Plane meshes may have :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many.
         The results are checks of the differences, or the reason for their absence. Keys that a
-        ``full`` model refines need no such check.
+        ``full`` model refines need no check.
         """
         return ()
 

@@ -128,7 +128,7 @@ def _find_key(holder: Any, step: str, so_far: str, where: str) -> str | int:
 
     Raises
     ------
-    UsageError : ``holder``, the value of the key ``so_far``, has no such key or entry.
+    UsageError : ``holder``, the value of the key ``so_far``, does not have this key or entry.
     """
     if step[0] != "[":
         if isinstance(holder, dict):

@@ -42,7 +42,7 @@ def find_floating_nets(scene: Scene, rests: Mapping[str, Rest]) -> tuple[Floatin
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
     """Return groups of nets whose displacements ideal sources connect rigidly.
 
-    The source named ``without`` ties nothing. A net that no ideal source ties to another net forms
+    The source named ``without`` is ignored. A net that no ideal source ties to another net forms
     its own group.
     """
     rests = scene.rests

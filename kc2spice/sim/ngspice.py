@@ -1,6 +1,7 @@
 """Runs of ngspice in batch mode, with checks of their results.
 
-The exit code of ngspice alone proves nothing. A failed run is repeated with other settings.
+The exit code of ngspice alone does not prove success. A failed run is repeated with other
+settings.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Simulation of decks in libngspice inside this process, with Python functions.
 
-The calls are those of the ngspice manual's chapter "Ngspice as shared library".
+The calls follow the chapter of the ngspice manual "Ngspice as shared library".
 
 Each :class:`Library` is a private copy of the library. Other users of libngspice in the process
 (PySpice, InSpice) have their own copies. A new copy replaces one with a fatal error. A copy reads

@@ -87,10 +87,9 @@ def part_header(
     """Return all comment lines above ``.subckt``.
 
     The lines are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
-    validity and rating follow, then one line for each pin and each parameter. ``title`` is
-    ``NAME: what it is``.
-    ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with mechanical pins.
-    ``heat`` describes the pins of heat.
+    validity and rating follow, then one line for each pin and each parameter. ``title`` is ``NAME:
+    DESCRIPTION``. ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with
+    mechanical pins. ``heat`` describes the pins of heat.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)

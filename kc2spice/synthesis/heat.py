@@ -93,7 +93,7 @@ def is_heat_model(model: LinearModel) -> bool:
 def compute_heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
-    The modes are those of ``E x = t K x`` with the time constants t. Their static contributions
+    The modes solve ``E x = t K x`` with the time constants t. Their static contributions
     determine a network at rest. If K is singular, no path removes the heat of some modes, and a
     leak replaces the resistance of these modes.
 

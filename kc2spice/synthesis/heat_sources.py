@@ -15,7 +15,7 @@ from kc2spice.netlist.circuit import Element, Pin
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import format_number
 
-LOSS_NODE = "losses"  # inner node at which all heat flows meet
+LOSS_NODE = "losses"  # inner node at which all heat flows are added
 METER = "Vheat"  # current into the pin of heat
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
 _COMMENT = (
@@ -26,7 +26,7 @@ _LEAST_DAMPING = "1p"  # scale of the damping in a quotient, so that zero is no 
 
 
 def meter_cards() -> Iterator[Line]:
-    """Yield the meter of the pin of heat, which all heat flows meet."""
+    """Yield the meter of the pin of heat, through which all heat flows pass."""
     yield from _COMMENT
     yield Element.of(METER, HEAT, LOSS_NODE, "0")
 

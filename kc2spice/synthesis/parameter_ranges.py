@@ -14,7 +14,8 @@ from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.ranges import ModelOverRanges
 
-# Random points of the parameter range at which the emitted circuit is compared, beside its corners.
+# Random points of the parameter range at which the emitted circuit is compared, in addition to its
+# corners.
 INSIDE = 6
 RANGE_STOPS = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
@@ -35,7 +36,7 @@ def sample_range(
 ) -> Iterator[tuple[LinearModel, dict[str, float]]]:
     """Yield the model at the corners of the range and at random points inside.
 
-    Each model comes with the values of the netlist's parameters.
+    Each model is paired with the values of the netlist's parameters.
     """
     corners = product((-1.0, 1.0), repeat=len(model.box))
     inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(model.box)))

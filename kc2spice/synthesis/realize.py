@@ -532,7 +532,7 @@ def make_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a reduced model with its header.
 
-    The cards ``losses`` follow those of the model. They add the pins of heat.
+    The cards ``losses`` follow the cards of the model. They add the pins of heat.
 
     ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
     pivots. ``words`` are the title, the rating and the validity of the head.

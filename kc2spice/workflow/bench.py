@@ -13,7 +13,7 @@ Times are medians of the simulator's CPU time. Each round runs all settings, so 
 machine affects all settings equally.
 
 Errors of two keys may cancel by chance. A setting is therefore within the limit only if the sum of
-the errors of its single values is within the limit, too::
+the errors of its single values is also within the limit::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
 """
@@ -263,7 +263,7 @@ def bench(
 
     Raises
     ------
-    UsageError : an unknown metric, or a scene with nothing to set.
+    UsageError : an unknown metric, or a scene without numerical settings.
     SimulationError : the unchanged scene, or its reference, does not run.
     MissingToolError : no ngspice.
     """

@@ -176,7 +176,7 @@ def _list_items(
 
 
 def _list_options(build: Build) -> Iterable[Option]:
-    """Return the options of a deck: tolerances, then those of the parts.
+    """Return the options of a deck: tolerances, then options of the parts.
 
     Other analyses than a transient have the tolerance of iterations only if the scene states it.
     """

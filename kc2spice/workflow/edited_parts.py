@@ -19,7 +19,7 @@ def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
     """Return ``build`` with the parameter values of an edited deck.
 
     A part is not checked if its keys cannot express its cards in that deck. A warning lists these
-    parts, and a warning of accuracy options that differ from those of the scene.
+    parts, and a second warning lists accuracy options that differ from the scene.
     """
     _warn_about_options(edits, path)
     parts = dict(build.scene.parts)
@@ -44,7 +44,7 @@ def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
 
 
 def _warn_about_options(edits: DeckEdits, path: Path) -> None:
-    """Warn about accuracy options that differ from those of the exported deck."""
+    """Warn about accuracy options that differ from the exported deck."""
     different = []
     for key, (old, new) in edits.options.items():
         different.append(f"{key} = {new or 'default'} ({old or 'default'})")

@@ -42,11 +42,11 @@ def compare_methods(
     Returns
     -------
     dict[str, Any]
-        What ``kc2spice reduce --method compare --json`` prints: ``methods`` contains a row for each
-        method with its ``order``, its ``states`` of first order, ``error_estimate`` in the norm,
-        ``peak_error``, which is relative to the peak of each entry, and ``cpu_s``. A method without
-        a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis of the
-        full-order model, which all methods use. ``stable`` is that of the full-order model.
+        The output of ``kc2spice reduce --method compare --json``: ``methods`` contains a row for
+        each method with its ``order``, its ``states`` of first order, ``error_estimate`` in the
+        norm, ``peak_error``, which is relative to the peak of each entry, and ``cpu_s``. A method
+        without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis
+        of the full-order model, which all methods use. ``stable`` refers to the full-order model.
 
     Raises
     ------

@@ -219,7 +219,7 @@ def evaluate_probe(
 
     Raises
     ------
-    UsageError : the run has no such vector.
+    UsageError : the run does not contain the vector.
     """
     if probe.of in waves:
         scale, values = waves.scale.real, waves[probe.of]

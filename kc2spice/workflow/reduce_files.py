@@ -141,7 +141,8 @@ def reduce_file(
     Returns
     -------
     dict[str, Any]
-        What ``kc2spice reduce --json`` prints: order, error estimate, ports and names of the files.
+        The output of ``kc2spice reduce --json``: order, error estimate, ports and names of the
+        files.
 
     Raises
     ------

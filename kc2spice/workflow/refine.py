@@ -44,7 +44,7 @@ MAX_MESH_UNKNOWNS = 200_000
 MEMORY_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
 # bytes of a plane factor per unknown and doubling of the unknowns: 145 000 unknowns took 0.2 GB
 PLANE_FACTOR_BYTES = 100.0
-MAX_RUNS = 16  # largest number of further runs besides that of the scene
+MAX_RUNS = 16  # largest number of further runs besides the run of the scene
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
 # A notch removes at least half of the error of an axis, as at corners of a mesh; the error is at
 # most this multiple of the change of a metric.

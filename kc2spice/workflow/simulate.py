@@ -98,7 +98,7 @@ def simulate_deck(
 ) -> Run:
     """Simulate a deck with the retries of its scene, and judge the result.
 
-    The checks are those of the scene's parts. If the wiring of an edited deck differs from the
+    The checks come from the parts of the scene. If the wiring of an edited deck differs from the
     scene, a warning is printed.
 
     Parameters

@@ -146,7 +146,7 @@ class LinearisedScene:
 def linearised_scene(build: Build) -> LinearisedScene:
     """Return the linearised networks of a build, stored or new.
 
-    If the keys or models differ from those of the stored networks, new ones are returned.
+    If the keys or models of the stored networks differ, new networks are returned.
     """
     known = build.linearised
     if isinstance(known, LinearisedScene) and known.belongs_to(build):

@@ -56,8 +56,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
     Raises
     ------
-    UsageError : no such model; a file that is damaged, too large, half stored, or not real and
-        finite; matrices or ports that do not fit together. The message names the file, the key, the
+    UsageError : the model does not exist; a file is damaged, too large, half stored, or not real
+        and finite; or matrices or ports do not match. The message names the file, the key, the
         faulty input and the expected input.
     MissingToolError : the format needs a package that is not installed; the message names it.
 
@@ -174,7 +174,7 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
 
     Raises
     ------
-    UsageError : a file that cannot be used, or whose rows are not those of the model.
+    UsageError : a file cannot be used, or its rows are not the rows of the model.
     """
     if entry.file is None and entry.name is None:
         return None

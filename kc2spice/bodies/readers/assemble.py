@@ -56,8 +56,8 @@ def assemble_model(rows: Rows) -> LinearModel:
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the outputs in this package.
 
-    A square C beside M and K may be the damping or the outputs, and is an error unless the sidecar
-    states its meaning.
+    A square C next to M and K may be the damping or the outputs, and is an error unless the
+    sidecar states its meaning.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")

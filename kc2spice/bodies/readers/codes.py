@@ -430,7 +430,7 @@ def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], 
 
 
 def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the fields of each card of a name, with those of continuation lines.
+    """Yield the fields of each card of a name, with the fields of continuation lines.
 
     Fields of bulk data may be small, large or free.
     """

@@ -92,7 +92,7 @@ class MeasuredAdmittance(EqualByContent):
     def measured_noise(self) -> float:
         """Standard deviation of a component (real or imaginary part) of the measured quantity.
 
-        That of Z and Y is relative to each entry. The estimate is the median size of third
+        The noise of Z and Y is relative to each entry. The estimate is the median size of third
         differences, which vanish for a smooth response. Entries that are zero have no noise.
         """
         x = self.Y if self.samples is None else self.samples
@@ -133,7 +133,7 @@ class MeasuredAdmittance(EqualByContent):
         """Noise (rms, complex) of Y in the norm of an error estimate.
 
         *Pointwise* noise is relative to each entry, *peak* noise to the largest value of the entry.
-        The result is that of the noisiest entry.
+        The result is the noise of the noisiest entry.
         """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size

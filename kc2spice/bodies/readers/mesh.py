@@ -40,7 +40,7 @@ class NodeMesh:
 
         Raises
         ------
-        UsageError : no such set, or an empty one.
+        UsageError : the set does not exist, or is empty.
         """
         result = self.sets.get(name.upper())
         if result is None or not len(result):

@@ -1,7 +1,7 @@
 """Content of a matrix file: matrices by letter, and names of their rows.
 
 The functions of this module reject invalid sizes and indices before they allocate memory. The
-functions read ``.npz`` archives, of which nothing is unpickled, and MATLAB files.
+functions read ``.npz`` archives, without unpickling, and MATLAB files.
 
 An archive contains dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
 the parts of a sparse matrix. The parts have the names of ``scipy.sparse.save_npz`` behind the

@@ -48,12 +48,12 @@
     column = 1                    # a column of B, counted from 1; 'row' is a row of C
 
 A mechanical port at several nodes is their mean displacement; its force is spread evenly over
-them. A port of kind ``acceleration`` moves the frame that the fixed freedoms stand on: it needs
+them. A port of kind ``acceleration`` moves the frame of the fixed degrees of freedom: it needs
 only ``axis``. A port of kind ``acoustic`` has a ``column``: the force on each unknown for 1 Pa at
 the port, whose product with the unknowns is the volume by which the body gives way. An
-``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports
-with ``column`` of a conservative kind take the same row of C; without ``[[ports]]`` the columns of
-B and rows of C are signals ``u1`` ..., ``y1`` ....
+``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports with ``column``
+of a conservative kind take the same row of C; without ``[[ports]]`` the columns of B and rows of C
+are signals ``u1`` ..., ``y1`` ....
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ class PortEntry(NodeSelection):
 class MatrixDamping(Section):
     """Damping ``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz].
 
-    ``loss_factor`` is that of structural damping, ``K (1 + j loss_factor)``.
+    ``loss_factor`` is the factor of structural damping, ``K (1 + j loss_factor)``.
     """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
@@ -373,7 +373,7 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of ``NAME.toml``; the defaults are those of a model without a file."""
+    """Content of ``NAME.toml``; the defaults apply to a model without a file."""
 
     listed: ClassVar[str] = "docs/reference/matrices.md"
 

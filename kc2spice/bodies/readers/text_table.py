@@ -273,7 +273,7 @@ def _is_unit(word: str) -> bool:
 
 
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
-    """Split a line into so many titles; None if no separator gives this number of titles."""
+    """Split a line into ``count`` titles; None if no separator gives this number of titles."""
     splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also separate the words of one title
         splits += map(partial(_split_fields, line), SEPARATORS)

@@ -88,8 +88,9 @@ class Dialect(Printer, ABC):
     ``command`` the command that runs a deck. ``keyword`` stands before parameters of subcircuits.
     ``functions`` are the functions of the simulator, ``rewritten`` the functions that :meth:`call`
     replaces. ``known_options`` are options that the simulator has, after ``option_prefix``; other
-    options are written as comments. Commands in ``joined`` are merged into one card. ``parameters``
-    are those of each kind of card. ``temperature`` is the name of the temperature in expressions.
+    options are written as comments. Commands in ``joined`` are merged into one card.
+    ``parameters`` are the parameters of each kind of card. ``temperature`` is the name of the
+    temperature in expressions.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
     analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
@@ -233,7 +234,7 @@ class Dialect(Printer, ABC):
         return super().element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
-        """Return the parameters of a card except those of a noise analysis."""
+        """Return the parameters of a card except parameters for a noise analysis."""
         result = {}
         for key, value in part.parameters.items():
             if key.lower() in _NOISE_PARAMETERS:

@@ -367,7 +367,7 @@ class _Track:
 
     @property
     def junctions(self) -> Iterator[tuple[int, int]]:
-        """Points at which three wires meet."""
+        """Points at which three wires are joined."""
         for column in sorted(self.columns)[:-1]:
             yield column, self.y
 

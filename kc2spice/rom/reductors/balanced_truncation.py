@@ -1,7 +1,8 @@
 """Balanced truncation over all frequencies, by the Gramians of a stable model.
 
 Balanced coordinates are in the order in which states are controllable and observable. Inputs and
-outputs are scaled by the peaks of the response, so that small entries count as much as large ones.
+outputs are scaled by the peaks of the response, so that small and large entries have equal
+weights.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class BalancedTruncation(Reductor):
 def hankel_singular_values(task: Task) -> np.ndarray | None:
     """Return the Hankel singular values in descending order.
 
-    The values are those of the intermediate model. The result is None if the model is not strictly
+    The values belong to the intermediate model. The result is None if the model is not strictly
     stable or too large.
     """
     if not has_gramians(task):
@@ -138,8 +139,8 @@ def balanced_basis(
 ) -> ReducedBasis | None:
     """Balance a model ``x' = A x + B u`` by roots of both Gramians.
 
-    The result is None if double precision cannot represent the product of the roots, such as that
-    of a model with poles at 1e21 1/s.
+    The result is None if double precision cannot represent the product of the roots, such as for a
+    model with poles at 1e21 1/s.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = observable.T @ controllable

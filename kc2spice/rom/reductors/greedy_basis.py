@@ -121,7 +121,7 @@ class GreedyBasis:
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
         """Solve for ``x = P(s)^-1 B`` and ``-x'(s)``.
 
-        If outputs differ from inputs, the result contains ``P(s)^-T C'``, too.
+        If outputs differ from inputs, the result also contains ``P(s)^-T C'``.
         """
         forward, backward = self.pencil.solver(s)
         self.points += 1

@@ -34,7 +34,7 @@ MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 class Snapshots(NamedTuple):
     """Frequencies [Hz] in the band, frequencies above it, and their weights.
 
-    The weights are those of frequencies above the band.
+    The weights apply to frequencies above the band.
     """
 
     inside: np.ndarray
@@ -82,7 +82,7 @@ def weighted_states(
 ) -> np.ndarray:
     """Return weighted real and imaginary parts of the states.
 
-    The weights are those of a relative error.
+    The weights define a relative error.
 
     The square of a state is an energy if ports exchange energy, so each state is divided by the
     root of the response of its port. Other states are divided by their length. The response of the

@@ -356,7 +356,7 @@ def run_sweep(
     Returns
     -------
     dict[str, Any]
-        What ``kc2spice sweep --json`` prints: number of points, failures and names of the files.
+        The output of ``kc2spice sweep --json``: number of points, failures and names of the files.
 
     Raises
     ------

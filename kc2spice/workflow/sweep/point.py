@@ -132,8 +132,8 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
 class Job:
     """Settings that all points of a sweep have in common.
 
-    ``fixed`` are overrides of the scene, ``parameters`` those of subcircuits; ``timeout`` [s]
-    limits one ngspice run. The scenes of points in one process share ``workspace``.
+    ``fixed`` are overrides of the scene, and ``parameters`` overrides of subcircuits; ``timeout``
+    [s] limits one ngspice run. The scenes of points in one process share ``workspace``.
     """
 
     scene: SceneText | Scene

@@ -37,7 +37,7 @@ _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 class RowStore:
     """Results of the points in an SQLite file, in which each row is complete or missing.
 
-    ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
+    ``digest`` is the digest of the sweep; ``failed`` are the points that have no numbers.
 
     Raises
     ------

@@ -132,7 +132,7 @@ def align_wave(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return common points of two solutions, and one wave of both at these points.
 
-    The points are those of the coarser solution, within the times that both cover.
+    The points come from the coarser solution, within the common times.
     """
     if "time" not in waves:
         return np.arange(float(waves[name].size)), waves[name], exact[name]

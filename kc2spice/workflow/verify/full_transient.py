@@ -72,8 +72,8 @@ class Difference:
     """Results of a network with full models minus the results with reduced models, for equal
     steps.
 
-    ``apart`` (nt,) is true if the devices of both models are in different modes. ``events`` [s] are
-    those of the solution with the reduced models.
+    ``apart`` (nt,) is true if the devices of both models are in different modes. ``events`` [s]
+    are the events of the solution with the reduced models.
     """
 
     time: np.ndarray

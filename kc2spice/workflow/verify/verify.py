@@ -418,8 +418,8 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        These are the checks that can fail a run, and the checks of jumps. In a transient, checks of
-        a discretisation are added as well if no finer solution replaces them.
+        These are the checks that can fail a run, and the checks of jumps. In a transient, checks
+        of a discretisation are also added if no finer solution replaces them.
         """
         unsolved = []
         for check in self.verdict.checks:
