@@ -31,7 +31,7 @@ def results(tmp_path_factory):
 
 # More of the same parts: plain buzzers but two, long transients, what test_devices.py runs.
 MORE = ("amplifier_kick", "buzzer_self", "buzzer_square", "coil_rails", "levitated_disc",
-        "coil_self_heating", "pwm_coil", "three_cycles")  # fmt: skip
+        "coil_self_heating", "loudspeaker_vented", "pwm_coil", "three_cycles")  # fmt: skip
 ONE_OF = re.compile(r"buzzer_7bb_(?!20_6)|buzzer_ft_(?!39t)")
 SCENES = [
     pytest.param(name, marks=pytest.mark.slow if name in MORE or ONE_OF.match(name) else ())

@@ -130,7 +130,10 @@ def test_radiation_does_not_count_the_mass_of_the_air_twice(sides):
 
 def test_efficiency_is_radiated_over_electrical_power():
     """Below 100 Hz in a baffle: ``rho/(2 pi c) |sd dv/dt|^2`` over ``Re Z |i|^2``."""
-    parts = {"air": {"part": "radiation", "area": DRIVER["sd"]}, "ear": {"part": "listener"}}
+    parts = {
+        "air": {"part": "radiation", "area": DRIVER["sd"]},
+        "ear": {"part": "listener", "distance": 2.0},
+    }
     tables = scene({"le": 1e-3}, {"front": "air.face"}, parts)
     tables["analysis"] |= {"start": 20.0, "stop": 100.0}
     result = kc.run(tables)
