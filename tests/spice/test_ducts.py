@@ -284,3 +284,39 @@ def test_a_sweep_of_the_hole_moves_the_resonance():
     assert tones[1] / tones[0] == pytest.approx(
         ratio, rel=0.05
     )  # more viscous mass in the small hole
+
+
+BOUNDARY = [
+    {"part": "vent", "length": 1e-9, "radius": 1e-9},
+    {"part": "vent", "length": 1e4, "radius": 1e4},
+    {"part": "tube", "length": 1e4, "radius": 1e-9, "sections": 2},
+    {"part": "cavity", "volume": 1e-18},
+    {"part": "cavity", "volume": 1e11, "leak": 1e-6},
+]
+
+
+@pytest.mark.parametrize("part", BOUNDARY)
+@pytest.mark.parametrize("stop", [1e-2, 1e9])
+def test_the_smallest_and_the_largest_ducts_run(part, stop):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        _, z = impedance(driven(stop / 1e4, stop, points=3, duct=part))
+    assert np.isfinite(z).all()
+    assert (z.real >= -1e-9 * np.abs(z)).all()
+
+
+BEYOND = [
+    {"part": "vent", "length": 1e300, "radius": 1.0},
+    {"part": "cavity", "volume": 1e-300},
+    {"part": "radiation", "radius": 1e-300},
+    {"part": "vent", "length": 1.0, "radius": 1.0, "fluid": PLAIN | {"viscosity": 1e-300}},
+]
+
+
+@pytest.mark.parametrize("part", BEYOND)
+def test_impossible_sizes_and_constants_are_refused(part):
+    scene = driven(100.0, 1e3, duct=part)
+    if part["part"] == "radiation":
+        scene["duct"]["pins"] = {"face": "push.out"}
+    with pytest.raises(UsageError, match=r"out of range|at least 1e-09"):
+        load_scene(scene)

@@ -33,6 +33,8 @@ LOWEST_CORNERS = {
 # values at q = 0 and negative slopes there, sums of 4 / j^4 and 4 / j^6 over zeros j of J0
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
+LAYER_START = 1e6  # |z| above which I1 and I0 are equal to 1e-6
+SERIES_END = 1e-4  # |q| below which two terms of the power series are exact to 1e-9
 SAMPLES_PER_DECADE = 12
 BELOW, ABOVE = 6.0, 6.0  # range of corners beyond both ends of the band, as ratios
 STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
@@ -57,9 +59,15 @@ def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
 
     z = np.sqrt(q)
     if layer == "layer":
-        return np.asarray(np.tanh(z) / z)
-    heat = 2 * ive(1, z) / (z * ive(0, z))
-    return np.asarray(heat if layer == "heat" else (1 - heat) / q)
+        result = np.tanh(z) / z
+    else:
+        thick = np.where(np.abs(z) < LAYER_START, z, LAYER_START)
+        ratio = np.where(np.abs(z) < LAYER_START, ive(1, thick) / ive(0, thick), 1.0)
+        heat = 2 * ratio / z
+        result = heat if layer == "heat" else (1 - heat) / q
+    # the first two terms of the power series, where the difference 1 - heat loses digits
+    slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
+    return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
 
 @lru_cache(maxsize=64)

@@ -27,7 +27,11 @@ from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # specific heats of a monatomic gas
-LARGEST_DENSITY, LARGEST_SPEED = 3e4, 1e4  # kg/m3 and m/s, above those of all liquids
+SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, thin gases and above all liquids
+SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above those of all fluids
+# above 0, a thousandth of the values of the thinnest gases
+SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # Pa s
+SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)
 
 
 class FluidTable(Section):
@@ -36,16 +40,20 @@ class FluidTable(Section):
     Without a viscosity, there are no viscous losses; without a conductivity, no thermal losses.
     """
 
-    density: Density = Field(gt=0, le=LARGEST_DENSITY, description="Mass density of the fluid")
-    sound_speed: Velocity = Field(gt=0, le=LARGEST_SPEED, description="Speed of sound in the fluid")
+    density: Density = Field(
+        ge=SMALLEST_DENSITY, le=LARGEST_DENSITY, description="Mass density of the fluid"
+    )
+    sound_speed: Velocity = Field(
+        ge=SMALLEST_SPEED, le=LARGEST_SPEED, description="Speed of sound in the fluid"
+    )
     viscosity: Annotated[float, si("Pa s")] = Field(
-        0.0, ge=0, description="Dynamic viscosity of the fluid"
+        0.0, ge=0, le=LARGEST_VISCOSITY, description="Dynamic viscosity of the fluid"
     )
     conductivity: Annotated[float, si("W/(m K)")] = Field(
-        0.0, ge=0, description="Thermal conductivity of the fluid"
+        0.0, ge=0, le=LARGEST_CONDUCTIVITY, description="Thermal conductivity of the fluid"
     )
     specific_heat: Annotated[float, si("J/(kg K)")] | None = Field(
-        None, gt=0, description="Specific heat capacity of the fluid at constant pressure"
+        None, ge=1, le=1e6, description="Specific heat capacity of the fluid at constant pressure"
     )
     heat_ratio: Ratio = Field(
         1.0,
@@ -65,6 +73,12 @@ class FluidTable(Section):
         """Require the specific heat of a fluid with a conductivity."""
         if self.conductivity and self.specific_heat is None:
             raise ValueError("conductivity needs the key specific_heat")
+        for key, least in (
+            ("viscosity", SMALLEST_VISCOSITY),
+            ("conductivity", SMALLEST_CONDUCTIVITY),
+        ):
+            if 0 < getattr(self, key) < least:
+                raise ValueError(f"{key} must be 0 or at least {least:g}")
         return self
 
     @property
@@ -130,6 +144,11 @@ def _read_fluid(value: Any) -> Any:
 
 
 Fluid = Annotated[FluidTable, BeforeValidator(_read_fluid)]
+
+
+# Sizes of acoustic parts: nanometres to kilometres
+SMALLEST_LENGTH, LARGEST_LENGTH = 1e-9, 1e4  # m
+SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # m2
 
 
 class FluidKeys(Section):

@@ -22,13 +22,20 @@ from kc2spice.parts.acoustics._acoustic_part import (
     AcousticPart,
 )
 from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
-from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics._fluids import (
+    LARGEST_AREA,
+    LARGEST_LENGTH,
+    SMALLEST_AREA,
+    SMALLEST_LENGTH,
+    FluidKeys,
+)
 from kc2spice.scene.model import GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
+SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 CORNERS_PER_DECADE = 2  # of the relaxations of walls; the losses are then within 1 %
-LARGEST_LENGTH = 0.1  # of a wavelength, in which the pressure is nearly uniform
+LARGEST_SHARE = 0.1  # of a wavelength, in which the pressure is nearly uniform
 # surface of a cube relative to its volume to the power 2/3, and of a sphere, the smallest one
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
@@ -36,18 +43,29 @@ CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 class CavityKeys(FluidKeys):
     """Volume of a cavity, its walls and its leak."""
 
-    volume: Annotated[float, si("m3")] = Field(gt=0, description="Volume of the cavity")
+    volume: Annotated[float, si("m3")] = Field(
+        ge=SMALLEST_VOLUME, le=LARGEST_LENGTH**3, description="Volume of the cavity"
+    )
     surface: Annotated[float, si("m2")] | None = Field(
-        None, gt=0, description="Surface of the walls; by default that of a cube of this volume"
+        None,
+        ge=SMALLEST_AREA,
+        le=LARGEST_AREA,
+        description="Surface of the walls; by default that of a cube of this volume",
     )
     length: Length | None = Field(
-        None, gt=0, description="Longest inner dimension; by default the edge of a cube"
+        None,
+        ge=SMALLEST_LENGTH,
+        le=LARGEST_LENGTH,
+        description="Longest inner dimension; by default the edge of a cube",
     )
     wall_losses: bool = Field(
         True, description="Whether the walls conduct heat, which is a loss at low frequencies"
     )
     leak: Annotated[float, si("Pa s/m3")] | None = Field(
-        None, gt=0, description="Acoustic resistance of leaks to the pin ambient; by default none"
+        None,
+        ge=1e-6,
+        le=1e30,
+        description="Acoustic resistance of leaks to the pin ambient; by default none",
     )
 
     @property
@@ -103,7 +121,7 @@ stop = "2 kHz"
             message = "the surface is smaller than that of a sphere of this volume"
             got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
             yield part.wrong("surface", message, got, expected)
-        limit = LARGEST_LENGTH * keys.fluid.sound_speed / keys.longest
+        limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
         if scene.analysis.small and acoustic_band(scene).high > limit:
             warnings.warn(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
@@ -147,12 +165,12 @@ stop = "2 kHz"
 
     def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, walls = part.keys, self._relaxations(part, scene)
-        limit = LARGEST_LENGTH * keys.fluid.sound_speed / keys.longest
+        limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
         yield (
             f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, {keys.fluid.words}; "
             f"{self._describe_walls(walls)}"
         )
-        share = (2 * math.pi * LARGEST_LENGTH) ** 2 / 2
+        share = (2 * math.pi * LARGEST_SHARE) ** 2 / 2
         yield Neglected(
             "waves in the cavity",
             "uniform pressure",

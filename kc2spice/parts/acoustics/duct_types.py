@@ -37,7 +37,13 @@ from kc2spice.parts.acoustics._acoustic_part import (
 )
 from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
 from kc2spice.parts.acoustics._duct_law import DuctLaw
-from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics._fluids import (
+    LARGEST_AREA,
+    LARGEST_LENGTH,
+    SMALLEST_AREA,
+    SMALLEST_LENGTH,
+    FluidKeys,
+)
 from kc2spice.parts.acoustics.cavity import CORNERS_PER_DECADE, list_relaxations
 from kc2spice.scene.model import GROUND, Build, GovernedScene, JoinedScene, Part, Scene, Terminal
 from kc2spice.scene.parttype import register
@@ -56,10 +62,19 @@ FAR_METER = "Vflow_b"
 class DuctKeys(FluidKeys):
     """Length and radius of a circular duct, its losses and its ends."""
 
-    length: Length = Field(gt=0, description="Length of the duct, without end corrections")
-    radius: Length | None = Field(None, gt=0, description="Inner radius of the duct")
+    length: Length = Field(
+        ge=SMALLEST_LENGTH,
+        le=LARGEST_LENGTH,
+        description="Length of the duct, without end corrections",
+    )
+    radius: Length | None = Field(
+        None, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, description="Inner radius of the duct"
+    )
     area: Annotated[float, si("m2")] | None = Field(
-        None, gt=0, description="Cross section of the duct, instead of its radius"
+        None,
+        ge=SMALLEST_AREA,
+        le=LARGEST_AREA,
+        description="Cross section of the duct, instead of its radius",
     )
     losses: bool = Field(
         True, description="Whether the wall has viscous and thermal boundary layers"

@@ -55,7 +55,7 @@ class ListenerKeys(Section):
         "scene",
     )
     distance: Length = Field(
-        1.0, gt=0, description="Distance of the listener from the radiating surfaces"
+        1.0, ge=1e-6, le=1e7, description="Distance of the listener from the radiating surfaces"
     )
     angle: Ratio = Field(
         0.0,

@@ -24,7 +24,13 @@ from kc2spice.parts.acoustics._acoustic_part import (
     AcousticNetwork,
     AcousticPart,
 )
-from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics._fluids import (
+    LARGEST_AREA,
+    LARGEST_LENGTH,
+    SMALLEST_AREA,
+    SMALLEST_LENGTH,
+    FluidKeys,
+)
 from kc2spice.parts.acoustics._radiation_impedance import (
     RADIATORS,
     Radiator,
@@ -48,9 +54,14 @@ class RadiationKeys(FluidKeys):
         description="Shape of the radiating surface: piston in an infinite baffle, piston in the "
         "open end of a tube, or pulsating sphere",
     )
-    radius: Length | None = Field(None, gt=0, description="Radius of the radiating surface")
+    radius: Length | None = Field(
+        None, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, description="Radius of the radiating surface"
+    )
     area: Annotated[float, si("m2")] | None = Field(
-        None, gt=0, description="Area of the radiating surface, instead of its radius"
+        None,
+        ge=SMALLEST_AREA,
+        le=LARGEST_AREA,
+        description="Area of the radiating surface, instead of its radius",
     )
 
     @model_validator(mode="after")
