@@ -96,7 +96,8 @@ def parametric_subcircuit(
         the parameters that the model states.
     header : Header, optional
         Origin of the netlist.
-    title : str, optional Description of the device, for the header of the library.
+    title : str, optional
+        Description of the device, for the header of the library.
     rating : str, optional
         Largest permitted load of the device, for the head of the library.
     weights : StepWeights, optional
