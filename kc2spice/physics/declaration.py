@@ -685,8 +685,7 @@ class Declaration:
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
         """Return the rate of a stored quantity by motion, and the quantity without motion.
 
-        The motion is that of displacements with a node in ``velocities``, in which the quantity is
-        affine.
+        The quantity must be affine in displacements with a node in ``velocities``.
         """
         moving = [b for b in self.displacements if b.name in self.velocities]
         rates = [multiply_trees(differentiate_tree(stored, b.name), Name(b.rate)) for b in moving]

@@ -1,6 +1,6 @@
 """Operations on expressions: exact derivatives, simplification, compiled functions.
 
-The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
+The trees are objects of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
 ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
 ``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
 e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and ``integral(f,
@@ -524,7 +524,7 @@ class _Python(Writer):
 
 
 def _python_name(function: str) -> str:
-    """Name of a table in Python, distinct from that of a key."""
+    """Name of a table in Python, distinct from the names of keys."""
     known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
     return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
 

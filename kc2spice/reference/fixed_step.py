@@ -6,8 +6,8 @@ steps. Thus ``y = H(s) a + C P(s)^-1 r``. All steps need one factorisation. Each
 back substitution, and the solution of a small nonlinear system of all other laws, in which the
 body is p linear relations.
 
-The method is that of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977): two stages, second order,
-L-stable, so that motions that are too fast for the steps decay instead of ringing::
+The method is described by Alexander (SIAM J. Numer. Anal. 14, 1006, 1977): two stages, second
+order, L-stable, so that motions that are too fast for the steps decay instead of ringing::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)

@@ -1,6 +1,6 @@
 """Transient of a `System` by an implicit method, between corners and events.
 
-Steps are those of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
+The steps use Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
 IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so algebraic unknowns would have to be
 eliminated. This elimination is possible for index 1 only. Two inductors in series, or one behind a
 current source, are of index 2, and their elimination is singular. The implicit method needs no
@@ -82,7 +82,7 @@ class Step:
         return self.first[:, None] + self._polynomials(powers[1:], powers[:3])
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
-        """Time derivatives (n, nt); those of algebraic unknowns are of low order."""
+        """Time derivatives (n, nt); derivatives of algebraic unknowns are of low order."""
         x = (np.atleast_1d(t) - self.start) / self.length
         square = np.array([0.0 * x, x**0, 2 * x])
         return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length

@@ -266,7 +266,7 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
     """Find the times from zero on at which the slope of source ``k`` jumps.
 
-    The result contains the jumps as well.
+    The result also contains the jumps.
     """
     times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
@@ -348,7 +348,7 @@ class ExponentialSolution:
     ) -> np.ndarray:
         """Compute waves (nt, len(outputs)) at increasing times.
 
-        The waves are those of a rule of integration if ``rates`` maps the rates of modes, and
+        The waves follow a rule of integration if ``rates`` maps the rates of modes, and
         ``axis`` the frequency ``j w`` of a sine, to the values of this rule.
         """
         poles = self.modes.rates
@@ -429,9 +429,9 @@ def solve_noise(
 ) -> np.ndarray:
     """Compute the spectral density (nf,) of a reading at frequencies ``f`` [Hz].
 
-    The unit of the density is that of the reading per root Hz.
+    The unit of the density is the unit of the reading per root Hz.
 
-    ``joins`` are those of :func:`kc2spice.reference.system.assemble_system`.
+    ``joins`` are described at :func:`kc2spice.reference.system.assemble_system`.
     """
     answering = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law

@@ -35,7 +35,7 @@ class PlacedDevice:
     into: np.ndarray  # (n, k)
     stores: np.ndarray | None  # (n, stored), if the stored quantities are not the states
     states: np.ndarray  # positions of the states among the unknowns
-    first: int  # position of the outputs of the device among those of all devices
+    first: int  # position of the outputs of the device among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
         """Compute the outputs (k,) for inputs ``e`` and their rate.
@@ -393,8 +393,8 @@ class _Assembly:
     ) -> dict[str, Any]:
         """Compute across quantities ``NAME.pin``, flows ``.through`` pins, and states.
 
-        Mechanical pins have a wave ``.rate``, too. The residual of the raw equations is the flow of
-        a source that prescribes a quantity.
+        Mechanical pins also have a wave ``.rate``. The residual of the raw equations is the flow
+        of a source that prescribes a quantity.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}

@@ -179,7 +179,7 @@ def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
 
 
 def _is_driving_point(response: str) -> bool:
-    """Return whether a response ``LOAD>PORT`` is that of the loaded port."""
+    """Return whether a response ``LOAD>PORT`` belongs to the loaded port."""
     load, _, port = response.partition(">")
     return load == port
 

@@ -271,7 +271,7 @@ def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Element
 
 
 def _is_capacitance(element: FitElement) -> bool:
-    """Whether an element is the capacitance beside the branches."""
+    """Whether an element is the capacitance in parallel with the branches."""
     return element.form == "capacitance"
 
 

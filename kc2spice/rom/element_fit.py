@@ -169,8 +169,8 @@ class Samples:
     def conducts_direct_current(self) -> bool:
         """Whether direct current flows, as stated or according to the phase at low frequencies.
 
-        If direct current flows, the mean phase at the lowest frequencies differs from that of a
-        capacitor.
+        If direct current flows, the mean phase at the lowest frequencies differs from the phase of
+        a capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0

@@ -1,7 +1,7 @@
 """Scales of errors of a transfer function's entries, and entries that are zero.
 
-A structure with a mirror plane has entries that are zero by symmetry: a force along y moves nothing
-along z. Both solutions contain only rounding errors in this entry, so their quotient has no
+A structure with a mirror plane has entries that are zero by symmetry: a force along y causes no
+motion along z. Both solutions contain only rounding errors in this entry, so their quotient has no
 meaning. Errors of such an entry are relative to the geometric mean of the largest entries of its
 row and its column, ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are
 balanced first, so that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).

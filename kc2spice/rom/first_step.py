@@ -130,7 +130,7 @@ def _restore_units(
 ) -> IntermediateModel:
     """Convert the basis of a scaled model to the units of the pencil.
 
-    The intermediate model is that of ``pencil.scaled(...)``.
+    The intermediate model is the model of ``pencil.scaled(...)``.
     """
     if result.basis is None:
         return result

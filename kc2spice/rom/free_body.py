@@ -46,7 +46,7 @@ class FreeBody:
     """Model of an unsupported body: definite elastic part and separate rigid-body modes.
 
     ``modes`` X (n, r) are orthonormal in the mass: ``X'MX = 1``. ``momenta`` is M X. ``factor`` is
-    that of the shifted stiffness ``K + shift M``.
+    the factor of the shifted stiffness ``K + shift M``.
     """
 
     pencil: Pencil

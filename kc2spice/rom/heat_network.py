@@ -1,6 +1,6 @@
 """Heat networks of one port in Foster's and in Cauer's form.
 
-Foster's form is a chain of thermal resistances, each beside a heat capacity::
+Foster's form is a chain of thermal resistances, each in parallel with a heat capacity::
 
     Z(s) = D + sum_k R_k / (1 + s t_k)          C_k = t_k / R_k
 

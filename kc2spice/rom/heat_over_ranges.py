@@ -17,8 +17,8 @@ from kc2spice.rom.ranges import ModelOverRanges
 class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
-    ``terms`` are those of the reduced matrices. ``facts`` are coefficients of polynomials of the
-    logarithms of positive facts with ``exponents``.
+    ``terms`` are the terms of the reduced matrices. ``facts`` are coefficients of polynomials of
+    the logarithms of positive facts with ``exponents``.
     """
 
     terms: MatrixTerms

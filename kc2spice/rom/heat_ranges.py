@@ -59,7 +59,7 @@ BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are 
 FINAL_SHARE = 0.6  # share of the tolerance at the samples
 SAFETY = 1.5  # margin for values between the samples
 SAMPLES = 8  # random samples of the ranges for each parameter, beside their corners
-CHECKS = 4  # and a corner: full models that nothing is made from
+CHECKS = 4  # and a corner: full models that are not used for the reduction
 ROUNDS = 4  # times that checked values become samples, because the error was too large there
 MOST_VALUES = 40  # values of the parameters whose reduced models the basis spans
 DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest
@@ -190,7 +190,7 @@ class _Ranges:
         )
 
     def reference(self, model: LinearModel, values: Values) -> _Reference:
-        """Return what a reduced model is compared with at these values."""
+        """Return the reference of a reduced model at these values."""
         parts, task = split_given(model, self.given), self.task
         inner, flows = select_live_ports(parts.inner), None
         if self.given:

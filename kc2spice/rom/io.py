@@ -191,7 +191,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
 def read_rom(path: Path | str) -> LinearModel:
     """Read a reduced model that :func:`write_rom` wrote.
 
-    The path is that of the ``.npz``, of the ``.json``, or of any matrix file of the family.
+    The path names the ``.npz``, the ``.json``, or any matrix file of the family.
 
     Raises
     ------

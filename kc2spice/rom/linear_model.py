@@ -120,11 +120,11 @@ class Certificate:
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
     the ``norm`` *pointwise* it is relative to the entry at every frequency, or to at least a
     millionth of the entry's peak. In the norm *peak* it is relative to the entry's largest value in
-    the band. ``method`` names the estimator. ``above`` states differences beyond the band, which
-    contact excites and nothing bounds. The dictionary contains frequencies [Hz] and the largest
-    relative difference of the compliance of a mechanical port to a larger model. ``stable``
-    applies to the full and the reduced model, None without a proof. ``passive`` means that both
-    are proven passive.
+    the band. ``method`` names the estimator. ``above`` states differences beyond the band, which a
+    contact excites and which have no bound. The dictionary contains frequencies [Hz] and the
+    largest relative difference of the compliance of a mechanical port to a larger model.
+    ``stable`` applies to the full and the reduced model, None without a proof. ``passive`` means
+    that both are proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -326,7 +326,8 @@ class LinearModel:
         Parameters
         ----------
         states : (states,) or (states, ...) array
-            States, real or complex: of second order those of K, of first order those of A.
+            States, real or complex: of second order in the coordinates of K, of first order in
+            those of A.
 
         Returns
         -------
@@ -634,7 +635,7 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
 
 
 def stores_one_triangle(matrix: Matrix) -> bool:
-    """Whether only one triangle of a matrix has entries beside the diagonal."""
+    """Whether only one triangle of a matrix has entries outside of the diagonal."""
     if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False
     entries = scipy.sparse.coo_array(matrix)

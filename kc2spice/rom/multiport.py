@@ -279,7 +279,7 @@ def refine_poles(
     """Refine stable poles near ``poles`` [rad/s] by nonlinear least squares.
 
     The poles are the real poles and the poles in the upper half plane. The sum is ``D + sum_k R_k
-    / (s - p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are results, too.
+    / (s - p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are also results.
     Poles are at most ``highest`` times the band's end.
 
     Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and

@@ -1,7 +1,7 @@
 """Parallel branches of resistors, inductors and capacitors: a passive one-port.
 
 Every branch is R, L and C in series, some of them absent. With the charge ``q_k`` of each branch
-beside a capacitance ``C0``, a voltage u and the charge y of the port::
+in parallel with a capacitance ``C0``, a voltage u and the charge y of the port::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 

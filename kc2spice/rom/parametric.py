@@ -288,8 +288,8 @@ def natural_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute squared natural frequencies (k,) below ``top`` [rad/s], and modes.
 
-    There are at least :data:`MIN_MODES`. The shapes (n, k) are M-orthonormal. ``inverse`` is that
-    of ``K - square M``.
+    There are at least :data:`MIN_MODES`. The shapes (n, k) are M-orthonormal. ``inverse`` is the
+    inverse of ``K - square M``.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size

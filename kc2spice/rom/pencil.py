@@ -106,7 +106,7 @@ class Schur:
         """Whether a ``factor`` of all four blocks proves that the complement is positive definite.
 
         The inertia of all blocks is the sum of the inertias of ``pp`` and of the complement
-        (Haynsworth 1968). All negative eigenvalues must be those of ``pp``.
+        (Haynsworth 1968). All negative eigenvalues must belong to ``pp``.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative
@@ -221,7 +221,7 @@ class Pencil:
     """``P(s) = sum_k s^k coefficients[k]``.
 
     Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
-    :class:`Schur` complement. ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K``.
+    :class:`Schur` complement. ``rayleigh = (alpha, beta)`` means ``E = alpha M + beta K``.
     ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are motions
     without stiffness; see :mod:`kc2spice.rom.rigid_body`.
     """

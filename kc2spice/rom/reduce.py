@@ -80,9 +80,9 @@ def reduce_model(
     becomes viscous damping of each mode, or relaxations if these are much more
       accurate. The error estimate includes the difference. The function warns if the difference
       exceeds the tolerance.
-    * A symmetric model with only real poles loses its inertia if that saves states and changes
-      nothing.
-    * Rounding of the full model's entries may change its response by more than ``tolerance``. The
+    * * A symmetric model with only real poles loses its inertia if this saves states without a
+    change of the response. * Rounding of the full model's entries may change its response by more
+    than ``tolerance``. The
       error estimate then includes this change, and the function warns.
 
     Parameters

@@ -274,7 +274,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
         The losses are the work on the exact response minus its stored energy. The electrical part
         needs the current of the body among the waveforms. The scale is the largest change of the
-        stored energy, or its rounding error if nothing moves. With coarse ringing, the check ends
+        stored energy, or its rounding error without motion. With coarse ringing, the check ends
         when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]

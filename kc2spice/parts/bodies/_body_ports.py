@@ -40,7 +40,7 @@ WAVE_WORDS = (
     *(domain.word for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-ZERO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest mode
+ZERO_ENERGY = 1e-13  # rounding error of an energy, relative to the energy of the stiffest mode
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
@@ -122,7 +122,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
         """Whether the scene joins the pin of heat, by which the losses leave.
 
-        A body with a port of this name has no such pin, and no body of heat either.
+        Bodies with a port of this name, and heat bodies, do not have this pin.
         """
         if not is_heated(part, scene):
             return False

@@ -92,7 +92,7 @@ def make_varied(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Make a key with its range, whose ends may come in either order.
+    """Make a key with its range, whose ends may be in either order.
 
     Ranges ``from_zero`` may begin at zero.
 

@@ -1,9 +1,9 @@
 """Assumptions about a radiating face of a body, and their effects on the sound pressure level.
 
 A part of type ``radiation`` represents the face by a piston with its volume velocity. The effects
-are those of the shape of the motion, of the baffle, and of tolerances of the resonance, of the
-support and of the Q factor. They are computed from the full model before a simulation, at the
-resonance of the body with the largest level.
+are the shape of the motion, the baffle, and the tolerances of resonance, support and Q factor.
+They are computed from the full model before a simulation, at the resonance of the body with the
+largest level.
 """
 
 from __future__ import annotations

@@ -106,8 +106,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
     ) -> Mapping[str, Probe | LargestRealPart]:
         """Return the resonance of an impedance, if it is the largest conductance of the model.
 
-        The resonance is that of the current of a voltage source at the first electrode, if nothing
-        else loads the body.
+        The resonance is the maximum of the current of a voltage source at the first electrode,
+        without other loads on the body.
         """
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:

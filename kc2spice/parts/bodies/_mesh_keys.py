@@ -130,7 +130,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
 
     Raises
     ------
-    UsageError : a file that cannot be read, or a group that picks nothing.
+    UsageError : a file cannot be read, or a group is empty.
     """
     path = locate_file_in_folder(home, str(keys.mesh), "mesh")
     unit = mesh_file.length_unit(path, keys.unit)

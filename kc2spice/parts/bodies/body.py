@@ -106,7 +106,7 @@ class PortKeys(Section):
     ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
     points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
     and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
-    *base* is the acceleration of what the body is fixed to. *face* is the pressure on a face of the
+    **base* is the acceleration of the support of the body. *face* is the pressure on a face of the
     surface and the volume that the face displaces. ``at`` names the mesh node nearest to a point
     instead of a group.
     """
@@ -254,7 +254,7 @@ class BodyKeys(MeshKeys):
     """Body from a mesh or CAD file.
 
     The electrode ``cathode`` (otherwise ``gnd``, ``ground``, or the last) is the return pin of all
-    others. ``floating`` electrodes are equipotential and carry no charge.
+    others. ``floating`` electrodes are equipotential and have no charge.
     """
 
     mesh: Annotated[MeshFile, MESH_FIELD]
@@ -453,7 +453,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 
 
 def _require_axis_of_revolution(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
-    """Check that cylindrical axes of an axisymmetric mesh are those of the mesh."""
+    """Check that cylindrical axes of an axisymmetric mesh equal the axes of the mesh."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
         problem = "the axis of an axisymmetric mesh must be z through the origin"
         hint = "leave out axis and through, or z and origin"

@@ -53,7 +53,8 @@ class Feedback(Section):
 
 
 class DiscLayer(Section):
-    """One disc. ``electrodes`` is the diameter of its electrodes if the layer lies on no metal."""
+    """One disc. ``electrodes`` is the diameter of the electrodes of a layer without metal next to
+    it."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     diameter: Width = Field(gt=0, description="Outer diameter of the layer")

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio of 1 %
 # Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
 # add up:
-# launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
+# launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol for chips of 1 %.
 RINGING = 4e-3
 UNDAMPED = 2e-4
 # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
@@ -103,7 +103,7 @@ class Drive(Section):
 
 
 class Stack(Chip, FieldKeys):
-    """Piezoelectric chip actuator, with its own drive if nothing is joined to the anode."""
+    """Piezoelectric chip actuator, with an internal drive if no part is joined to the anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",

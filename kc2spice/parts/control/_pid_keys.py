@@ -1,4 +1,4 @@
-"""Keys of a PID controller, which the sphere that it controls reads as well."""
+"""Keys of a PID controller, which the controlled sphere also reads."""
 
 from __future__ import annotations
 

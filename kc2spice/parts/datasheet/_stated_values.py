@@ -40,7 +40,7 @@ class StatedValues:
 
     ``relations`` has the functions of all values that a sheet may state, of the unknowns
     ``start.size`` in SI. ``start`` contains the first values of the iteration. Values have the
-    relative ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are those of the
+    relative ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are the units of the
     values.
     """
 

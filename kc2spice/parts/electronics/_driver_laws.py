@@ -143,7 +143,8 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
     """Return the voltages of nodes and of ``command`` to ``ref``.
 
-    The voltage of a node is that of its branch with a current, or ``v_NAME`` without a branch.
+    The voltage of a node is the voltage of its branch with a current, or ``v_NAME`` without a
+    branch.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
@@ -158,8 +159,8 @@ def _write_output_current(node: str) -> str:
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
     """Return the rate [V/s] of an amplifier's voltage before its output resistance.
 
-    ``difference`` [V] is that of the inputs, ``low`` and ``high`` are the rails. With the angular
-    frequency ``unity`` of unit gain::
+    ``difference`` [V] is the difference of the inputs, ``low`` and ``high`` are the rails. With
+    the angular frequency ``unity`` of unit gain::
 
         rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
                - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))

@@ -180,7 +180,7 @@ class Load(NamedTuple):
 
 
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
-    """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 where it has no such pin."""
+    """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 without a pin ``ref``."""
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
     for pin in pins:

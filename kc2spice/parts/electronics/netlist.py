@@ -68,7 +68,7 @@ class Rating(Section):
 
 
 class NetlistKeys(Section):
-    """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
+    """``.subckt SUBCKT`` of ``file`` in the folder of the scene."""
 
     file: FileName = Field(description="Netlist file in the scene's folder")
     subckt: str = Field(
@@ -257,7 +257,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
 
     Raises
     ------
-    UsageError : the file cannot be read or has no such subcircuit.
+    UsageError : the file cannot be read or does not contain the subcircuit.
     """
     known = _read(part.keys.file, scene.home, _modification_time(part, scene)).pins
     pins = known.get(part.keys.subckt.lower())

@@ -212,7 +212,7 @@ class Gap(PatchedPart[GapKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks, after a dc sweep also of unstable points.
 
-        No point may lie on the branch between pull-in and release. The capacitance of a stable
+        No point may be on the branch between pull-in and release. The capacitance of a stable
         point never falls with ``v^2``.
         """
         yield from super().checks(part, build, waves)
@@ -319,8 +319,8 @@ def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarr
 def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the film's series at the highest frequency of a run.
 
-    The frequency is that of the response. In a transient, the velocity of the patches has 99.9 % of
-    its energy below this frequency.
+    The frequency is the frequency of the response. In a transient, the velocity of the patches has
+    99.9 % of its energy below this frequency.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:
@@ -431,7 +431,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
 def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return dampers, springs and orders along the length of all terms, each (n,).
 
-    The dampers are multiplied by gap^3, the springs by gap. The largest dampers stand first.
+    The dampers are multiplied by gap^3, the springs by gap. The largest dampers are listed first.
     """
     area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))

@@ -153,7 +153,7 @@ def coils_subcircuit(
 
     ``apart``: coils between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF.
     Otherwise both coils are resistors between ``drive`` and ``ret``, the lower coil reversed:
-    three functions of height instead of six, and the same force. Pins and law are those of
+    three functions of height instead of six, and the same force. Pins and law come from
     :func:`kc2spice.physics.coils.declare_coils`.
 
     ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
@@ -610,7 +610,7 @@ def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
 def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
     """Largest coil current [A] of the controllers of the scene.
 
-    The current is 1 A if another part drives the coils, and 0 if nothing drives them.
+    The current is 1 A if another part drives the coils, and 0 without a drive.
     """
     limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))

@@ -1,4 +1,4 @@
-"""Keys of a contact, which the parts on its two sides read as well."""
+"""Keys of a contact, which the parts on both sides also read."""
 
 from __future__ import annotations
 

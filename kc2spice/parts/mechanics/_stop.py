@@ -8,7 +8,8 @@ Beyond ``travel`` its force at the indentation d and the speed v, which d grows 
 Without ``damping``, a mass faster than ``slow`` meets ``1 + loss`` times the stiffness on its way
 in, and ``1 - loss`` times the stiffness on its way out. For any mass, the share ``restitution^2``
 of the energy remains. Slower masses come to rest (O. R. Walton, R. L. Braun, J. Rheol. 30 (1986)
-949). The damping is that of K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440.
+949). The damping is derived from the stiffness. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42
+(1975) 440.
 """
 
 from typing import Annotated

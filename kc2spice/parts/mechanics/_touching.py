@@ -45,8 +45,8 @@ class Surface:
     ``velocity`` pin instead. ``radius`` [m] is the radius of a sphere, None for a plane.
     ``sectors`` is the number of symmetry sectors if the stiffness is per sector. A port
     that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under a
-    pressure basis, with the response time ``pace`` [s]. ``elastic`` is the part whose port
-    ``patch`` a rigid surface carries. ``modulus`` [Pa] is the indentation modulus if the surface
+    pressure basis, with the response time ``pace`` [s]. ``elastic`` is the part with the port
+    ``patch``, if the surface is rigid. ``modulus`` [Pa] is the indentation modulus if the surface
     is a half-space.
     """
 
@@ -457,8 +457,8 @@ def _extrapolate_release(
 def last_source_change(scene: WiredScene) -> float:
     """Return the time [s] at which the last source stops changing.
 
-    Sources that only enable a controller do not count. The time is infinite if a source never
-    stops or there is none.
+    Sources that only enable a controller do not count. The time is infinite without a source, or
+    if a source never stops.
     """
     ends = []
     for source in scene.of_schema("source", SourceKeys):

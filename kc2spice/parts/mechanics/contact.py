@@ -67,7 +67,7 @@ CONTACT_FREQUENCY = 500e3  # Hz, frequency at which a contact excites bodies
 CURVED_RELTOL_FACTOR = 0.1
 DAMPED_RELTOL_FACTOR = 0.01
 MIN_EVENTS = 20  # number of events that any reltol resolves
-INDENTATION_PIN = "dent"  # pin that meets the port of an elastic sphere
+INDENTATION_PIN = "dent"  # pin that is joined to the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):

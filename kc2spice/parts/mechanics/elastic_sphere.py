@@ -128,7 +128,7 @@ elastic = true
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
         """Return the reduction of the sphere.
 
-        The settings of the scene do not apply, because the modes of a sphere lie above the band of
+        The settings of the scene do not apply, because the modes of a sphere are above the band of
         any actuator.
         """
         specified: Rom | None = part.keys.rom

@@ -103,7 +103,7 @@ class OptimalModels(ReducedBasis):
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
     def unknowns(self, order: int) -> np.ndarray | None:
-        """Return nothing: the basis is not stored."""
+        """Return None: the basis is not stored."""
         return None
 
     def _optimal(self, order: int) -> Pencil:
