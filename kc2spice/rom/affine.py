@@ -1,8 +1,9 @@
 """Models whose matrices are sums with factors that depend on parameters.
 
 A matrix is ``M(p) = sum_i f_i(p) M_i``. The terms M_i come from another program and the factors are
-functions of the parameters. The result of the reduction is a :class:`kc2spice.rom.varying.Varying`,
-as for a body of a scene whose keys are parameters of its netlist.
+functions of the parameters. The result of the reduction is a
+:class:`kc2spice.rom.ranges.ModelOverRanges`, as for a body of a scene whose keys are parameters of
+its netlist.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from itertools import product
 import numpy as np
 import scipy
 
+from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.rom.band import parse_band
 from kc2spice.rom.constraints import reduced_form
@@ -21,12 +23,12 @@ from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
-from kc2spice.rom.ranges import RangeTask
+from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.reduce import Target, choose_band, require_valid
 from kc2spice.rom.stability import is_semidefinite
-from kc2spice.rom.varying import Varying, reduce_over_ranges
+from kc2spice.rom.varying import reduce_over_ranges
 
-PARAMETRIC_MATRICES = "MK"  # matrices that may depend on parameters
+PARAMETRIC_MATRICES = "MKE"  # matrices that may depend on parameters; E of heat models alone
 Factor = Callable[[Values], float]
 
 
@@ -73,7 +75,7 @@ class ModelParameter:
 
 @dataclass(frozen=True, eq=False)
 class AffineTerm:
-    """Term ``factor(p) matrix`` of the matrix ``letter``, which is M or K.
+    """Term ``factor(p) matrix`` of the matrix ``letter``: M or K, of heat models E or K.
 
     ``description`` is the text of the factor in errors.
     """
@@ -116,17 +118,18 @@ class AffineTerm:
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
-    """Second-order model with M and K that depend on parameters.
+    """Model with matrices that depend on parameters: M and K, of heat models E and K.
 
-    ``K(p) = K + sum f_i(p) K_i``, and M likewise.
+    ``K(p) = K + sum f_i(p) K_i``, and M or E likewise.
 
     Parameters
     ----------
     model : LinearModel
         Constant parts of all matrices, ports and damping. Damping is proportional to mass and
-        stiffness (``rayleigh``), or absent.
+        stiffness (``rayleigh``), or absent. All ports of a heat model are thermal.
     terms : sequence of tuples
-        Letter ``"K"`` or ``"M"``, matrix (n, n), and a function of the mapping of all parameters.
+        Letter ``"K"``, ``"M"`` or ``"E"``, matrix (n, n), and a function of the mapping of all
+        parameters. The matrices of heat models are sums with powers -1, 0 and 1 of parameters.
     parameters : sequence of ModelParameter
         One to four parameters with their ranges.
     assemble : callable, optional
@@ -168,6 +171,14 @@ class AffineModel:
                 expected=f"1 to {MAX_PARAMETERS} parameters whose names differ in more than case",
             )
         terms = [t if isinstance(t, AffineTerm) else AffineTerm(*t) for t in self.terms]
+        for term in terms:
+            if term.letter not in self.letters:
+                raise unknown(
+                    "this matrix of the model cannot depend on parameters",
+                    term.letter,
+                    self.letters,
+                    f"{self.model.name}: terms",
+                )
         object.__setattr__(self, "_terms", tuple(terms))
         object.__setattr__(self, "parameters", tuple(self.parameters))
 
@@ -175,6 +186,16 @@ class AffineModel:
     def name(self) -> str:
         """Name of the model."""
         return self.model.name
+
+    @property
+    def conducts_heat(self) -> bool:
+        """Whether it is a heat model, ``E T' + K T = B q``."""
+        return self.model.first_order and all(p.domain is THERMAL for p in self.model.ports)
+
+    @property
+    def letters(self) -> str:
+        """Letters of the matrices that may depend on parameters."""
+        return "EK" if self.conducts_heat else "MK"
 
     @property
     def axes(self) -> tuple[ParameterAxis, ...]:
@@ -199,8 +220,16 @@ class AffineModel:
         point = self.defaults | dict(values)
         if self.assemble is not None:
             return self.assemble(point)
-        constant = {letter: getattr(self.model, letter) for letter in PARAMETRIC_MATRICES}
-        return replace(self.model, **sum_affine_terms(constant, self._terms, point))
+        model = self.model
+        if self.conducts_heat:
+            K, E = model.pencil.coefficients
+            sums = sum_affine_terms({"E": E, "K": K}, self._terms, point)
+            E, K = sums["E"], sums["K"]
+            return LinearModel(
+                E=E, K=K, B=model.B, ports=model.ports, name=model.name, band=model.band
+            )
+        constant = {letter: getattr(model, letter) for letter in self.letters}
+        return replace(model, **sum_affine_terms(constant, self._terms, point))
 
 
 def sum_affine_terms(
@@ -233,7 +262,7 @@ def reduce_affine(
     band: tuple[float | str, float | str] | None = None,
     norm: Norm | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> Varying:
+) -> ModelOverRanges:
     """Reduce a model over the ranges of its parameters.
 
     Parameters
@@ -252,8 +281,8 @@ def reduce_affine(
 
     Returns
     -------
-    Varying
-        Resonators over the ranges, with a certificate.
+    ModelOverRanges
+        Resonators or a heat network over the ranges, with a certificate.
 
     Raises
     ------
@@ -262,7 +291,9 @@ def reduce_affine(
     SimulationError : the tolerance is not met.
     """
     middle = {axis.name: axis.middle for axis in affine.axes}
-    model = _proportional(affine.at(middle))
+    heat = affine.conducts_heat
+    fit = _keep_damping if heat else _proportional
+    model = fit(affine.at(middle))
     norm = norm or choose_default_norm(model)
     require_valid(Target(tolerance, None, parse_band(band), norm, False, None))
     try:
@@ -270,14 +301,14 @@ def reduce_affine(
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
         limits = choose_band(model, reduced_form(model.pencil), parse_band(band))
         task = RangeTask(
-            lambda values: _proportional(affine.at(values)),
+            lambda values: fit(affine.at(values)),
             affine.axes,
             limits,
             tolerance,
             progress,
             norm,
         )
-        result = reduce_over_ranges(task)
+        result = _reduce_heat(task) if heat else reduce_over_ranges(task)
     except np.linalg.LinAlgError:
         raise _make_indefinite_error(affine, "a value inside of the ranges") from None
     units = {item.name: item.unit for item in affine.parameters}
@@ -288,8 +319,9 @@ def reduce_affine(
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
     """Check M and K at values of the parameters before the long work."""
     model = affine.at(values)
-    for letter in PARAMETRIC_MATRICES:
-        if not is_semidefinite(getattr(model, letter)):
+    stiffness, *others = model.pencil.coefficients
+    for letter, matrix in zip("K" + affine.letters[0], (stiffness, others[-1]), strict=True):
+        if not is_semidefinite(matrix):
             raise _make_indefinite_error(affine, f"matrix {letter} at {_describe_values(values)}")
 
 
@@ -302,9 +334,22 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
         "a matrix is not positive definite over the ranges of the parameters",
         where=affine.name,
         got=got,
-        expected="symmetric positive definite M and K at all values of the parameters",
+        expected=f"symmetric positive definite {affine.letters[0]} and K at all values of the "
+        "parameters",
         hint="narrow the ranges, or check the factors and the signs of the terms",
     )
+
+
+def _reduce_heat(task: RangeTask) -> ModelOverRanges:
+    """Reduce heat models over the ranges of a task; heat flows into all ports are given."""
+    from kc2spice.rom.heat_ranges import HeatReduction  # other models do not need it
+
+    return HeatReduction(task.full, task.axes).reduce(task)
+
+
+def _keep_damping(model: LinearModel) -> LinearModel:
+    """Return a heat model unchanged."""
+    return model
 
 
 def _proportional(model: LinearModel) -> LinearModel:

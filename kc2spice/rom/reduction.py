@@ -40,7 +40,7 @@ from kc2spice.rom.response import Response
 
 if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
-    from kc2spice.rom.varying import Varying
+    from kc2spice.rom.ranges import ModelOverRanges
 
 # default of the smallest tolerance; one more digit costs one or two more solutions
 DEFAULT_MIN_TOLERANCE = 1e-6
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
         band: tuple[float | str, float | str] | None = None,
         norm: Norm | None = None,
         solver: DirectSolver | str | None = None,
-    ) -> Varying: ...
+    ) -> ModelOverRanges: ...
 
     @overload
     def reduce(
@@ -84,7 +84,7 @@ def reduce(
     method: str | Reductor | None = None,
     parameters: Mapping[str, Any] | None = None,
     solver: DirectSolver | str | None = None,
-) -> LinearModel | Varying:
+) -> LinearModel | ModelOverRanges:
     """Reduce a linear model to a tolerance or to a number of states.
 
     The result has the same ports in the same order. Its ``certificate`` states the largest error of
@@ -128,9 +128,9 @@ def reduce(
 
     Returns
     -------
-    LinearModel or Varying
+    LinearModel or ModelOverRanges
         Reduced model with the ports of ``model`` and with a ``certificate``. The result for an
-        affine model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at
+        affine model is a :class:`kc2spice.rom.ranges.ModelOverRanges`: ``at(values)`` returns it at
         values of the parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
 
     Raises

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
+from kc2spice.rom.heat_ranges_io import read_heat_over_ranges, write_heat_over_ranges
 from kc2spice.rom.io import (
     make_damage_error,
     parse_certificate,
@@ -19,17 +21,23 @@ from kc2spice.rom.io import (
     write_archive,
 )
 from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.varying import Varying
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
+_HEAT_MARK = "powers.npy"
+_MARKS = {"exponents.npy", _HEAT_MARK}  # files in archives of models over ranges
 _MAX_DEGREE = 30  # degree of a polynomial, more than any reduction uses
 
 
-def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
+def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[str]:
     """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate for readers.
 
     Returns the file names, the ``.npz`` first.
     """
+    if isinstance(model, HeatOverRanges):
+        return write_heat_over_ranges(model, directory, name)
+    assert isinstance(model, Varying)  # there are two kinds of models over ranges
     content = {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(require_certificate(model.certificate, model.name)),
@@ -49,12 +57,21 @@ def is_varying(path: Path) -> bool:
     """Whether a file is an archive that :func:`write_varying` wrote."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return "exponents.npy" in archive.namelist()
+            return not _MARKS.isdisjoint(archive.namelist())
     except (OSError, zipfile.BadZipFile):
         return False
 
 
-def read_varying(path: Path | str) -> Varying:
+def _contains_heat(path: Path) -> bool:
+    """Whether a file is an archive of a heat model over ranges."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _HEAT_MARK in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def read_varying(path: Path | str) -> ModelOverRanges:
     """Read a file that :func:`write_varying` wrote.
 
     Raises
@@ -62,6 +79,8 @@ def read_varying(path: Path | str) -> Varying:
     UsageError : the file is damaged, or contains another kind of model.
     """
     path = Path(path)
+    if _contains_heat(path):
+        return read_heat_over_ranges(path)
     try:
         return _build(*read_arrays(path, _ARRAY_NAMES), path.stem)
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers

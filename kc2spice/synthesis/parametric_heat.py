@@ -45,7 +45,7 @@ from kc2spice.synthesis.parameter_ranges import (
 from kc2spice.synthesis.realize import UNRATED, heat_pins, heat_words, make_subcircuit
 
 # Names that the subcircuit uses for its own parameters.
-_RESERVED = r"change\d+|inside\d+"
+RESERVED_BY_HEAT = r"change\d+|inside\d+"
 NEGLIGIBLE = 1e-15  # entry of a matrix, relative to its row and column, that is a rounding error
 _ABOUT = """\
 * Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
@@ -83,7 +83,7 @@ def heat_subcircuit_over_ranges(
     names = [item.name for item in parameters]
     for parameter in names:
         checked_name(parameter, where=f"{name}: parameters")
-    require_distinct(names, _RESERVED, where=name)
+    require_distinct(names, RESERVED_BY_HEAT, where=name)
     values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
     rom = model.at(values)
     pins, base = heat_pins(rom, name)

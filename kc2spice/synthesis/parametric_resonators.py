@@ -13,7 +13,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
+from kc2spice.core.domains import ELECTRICAL, ROTATION, THERMAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
@@ -34,7 +34,7 @@ from kc2spice.synthesis.parameter_ranges import (
     range_stops,
     sample_range,
 )
-from kc2spice.synthesis.parametric_heat import heat_subcircuit_over_ranges
+from kc2spice.synthesis.parametric_heat import RESERVED_BY_HEAT, heat_subcircuit_over_ranges
 from kc2spice.synthesis.realize import (
     DAMPING_PARAMETER,
     RINGING_WEIGHTS,
@@ -165,7 +165,9 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     ------
     UsageError : a port of another domain, or a name that the subcircuit has for itself.
     """
-    unsupported = [port.name for port in ports if port.domain not in _DOMAINS]
+    domains = {port.domain for port in ports}
+    heat = domains == {THERMAL}
+    unsupported = [port.name for port in ports if not heat and port.domain not in _DOMAINS]
     if unsupported:
         raise UsageError(
             "a model with parameters has ports that are not electrical, mechanical or rotational",
@@ -175,7 +177,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
         )
     for parameter in parameters:
         checked_name(parameter, where=f"{name}: parameters")
-    require_distinct(parameters, _RESERVED_NAME, where=name)
+    require_distinct(parameters, RESERVED_BY_HEAT if heat else _RESERVED_NAME, where=name)
 
 
 def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:

@@ -20,7 +20,7 @@
     [parameters]                  # of the subcircuit; names as in the factors below
     thickness = { default = 1.0, low = 0.8, high = 1.25, unit = "mm" }
 
-    [[terms]]                     # K(p) = K + sum f_i(p) K_i, and M likewise
+    [[terms]]                     # K(p) = K + sum f_i(p) K_i, and M likewise; E of heat models
     matrix = "K"                  # or "M"
     file = "plate.K3.mtx"         # and its file; otherwise the file of the model
     name = "K3"                   # its name inside a .npz, OP4 or punch file
@@ -366,7 +366,7 @@ class TermEntry(Section):
     Without ``file`` and ``name`` the factor multiplies the matrix of the model.
     """
 
-    matrix: Literal["M", "K"]
+    matrix: Literal["M", "K", "E"]
     factor: Annotated[str, Field(min_length=1, max_length=200)]
     file: File | None = None
     name: Name | None = None

@@ -1,0 +1,98 @@
+"""Files of heat models over ranges of parameters: an ``.npz`` archive of the terms of E and K."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
+from kc2spice.rom.io import (
+    make_damage_error,
+    parse_certificate,
+    parse_ports,
+    read_arrays,
+    require_certificate,
+    require_single_line,
+    write_archive,
+)
+from kc2spice.rom.matrix_terms import MatrixTerms
+from kc2spice.rom.parametric import ParameterAxis
+
+ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
+
+
+def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) -> list[str]:
+    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate for readers.
+
+    Returns the file names, the ``.npz`` first.
+    """
+    terms = model.terms
+    content = {
+        "ports": list(map(asdict, model.ports)),
+        "certificate": asdict(require_certificate(model.certificate, model.name)),
+        "axes": list(map(asdict, terms.axes)),
+        "defaults": dict(model.defaults),
+        "units": dict(model.units),
+        "descriptions": dict(model.descriptions),
+    }
+    arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
+    arrays |= {"E": np.array(terms.E), "K": np.array(terms.K)}
+    return write_archive(directory, name, arrays, content)
+
+
+def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
+    """Read a file that :func:`write_heat_over_ranges` wrote.
+
+    Raises
+    ------
+    UsageError : the file is damaged, or contains another kind of model.
+    """
+    path = Path(path)
+    try:
+        return _build(*read_arrays(path, ARRAY_NAMES), path.stem)
+    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
+        raise make_damage_error(path, error) from None
+
+
+def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> HeatOverRanges:
+    """Make the model from its arrays and its record, which are checked."""
+    from pydantic import TypeAdapter  # imported here, because runs read no such file
+
+    ports = parse_ports(record["ports"])
+    axes = TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"])
+    texts = TypeAdapter(dict[str, str])
+    units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
+    for text in (*units, *units.values(), *words, *words.values()):
+        require_single_line(text, 200)
+    terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]
+    shapes = {
+        "powers": (terms, len(axes)),
+        "scales": (len(axes),),
+        "E": (terms, states, states),
+        "K": (terms, states, states),
+        "B": (states, len(ports)),
+    }
+    for key, shape in shapes.items():
+        array = arrays[key]
+        if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
+            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
+    powers = arrays["powers"]
+    if powers.dtype.kind != "i" or np.abs(powers).max(initial=0) > 1:
+        raise ValueError("a power is not -1, 0 or 1")
+    if not arrays["scales"].min(initial=1.0) > 0:
+        raise ValueError("a scale is not positive")
+    matrices = {letter: tuple(arrays[letter]) for letter in "EK"}
+    return HeatOverRanges(
+        terms=MatrixTerms(axes, arrays["scales"], powers, **matrices),
+        B=arrays["B"],
+        exponents=np.zeros((1, len(axes)), int),
+        ports=ports,
+        certificate=parse_certificate(record["certificate"]),
+        defaults=TypeAdapter(dict[str, float]).validate_python(record["defaults"]),
+        units=units,
+        descriptions=words,
+        name=name,
+    )
