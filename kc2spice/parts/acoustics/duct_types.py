@@ -54,7 +54,8 @@ END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flang
 WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct propagates
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
-CORNERS_OF_SECTIONS = 1  # corners in each decade in many sections; the losses are within 5 %
+FEW_SECTIONS = 10  # up to this number, losses are as accurate as those of a vent
+CORNERS_OF_SECTIONS = 1  # corners in each decade of more sections; the losses are within 5 %
 FAR_END = "b"
 FAR_METER = "Vflow_b"
 
@@ -201,7 +202,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         """Return sections and losses of a duct in the band of the scene."""
         keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
         count = self.sections(part, scene)
-        corners = CORNERS_PER_DECADE if count == 1 else CORNERS_OF_SECTIONS
+        corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_SECTIONS
         scale = 2 * math.pi * keys.inner_radius**2
         viscous = thermal = None
         if keys.losses and fluid.viscosity:
