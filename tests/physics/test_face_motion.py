@@ -10,11 +10,14 @@ from scipy.special import jv
 from support import (
     Block,
     BondedBlocks,
+    Clock,
     FaceMotion,
     compute_lowest_modes,
     find_node_diameter,
+    load_scene,
     material,
     outer_faces,
+    prepare_deck,
     sample_face_motion,
 )
 
@@ -166,3 +169,24 @@ def test_a_disc_on_its_rim_is_close_to_a_piston():
         warnings.simplefilter("error")
         result = kc.run({**SCENE, "disc": {**SCENE["disc"], "support": "simply_supported"}})
     assert effects_of(result)["motion of front_face"].startswith("+0.1 dB")
+
+
+def test_electrical_input_is_radiated_and_dissipated():
+    """0.5 Re(V I*) = 0.5 Re(p U*) + 0.5 omega^2 x^H E x at every frequency, in ngspice."""
+    scene = load_scene({**SCENE, "disc": {**SCENE["disc"], "support": "simply_supported"}})
+    (build, _), result = prepare_deck(scene, Clock()), kc.run(scene)
+    model, f = build.model(scene.parts["disc"], kc.LinearModel), result.waves["frequency"].real
+    volts, amps = result.waves["disc.voltage"], result.waves["disc.current"]
+    pressure, flow = result.waves["front.pressure"], result.waves["front.flow"]
+    supplied = 0.5 * (volts * amps.conj()).real
+    radiated = 0.5 * (pressure * flow.conj()).real
+    loads = {"anode": volts, "front_face": pressure}
+    drive = np.array([loads[port.name] for port in model.ports]).T
+    M, E, K = (np.asarray(matrix) for matrix in (model.M, model.E, model.K))
+    lost = []
+    for w, load in zip(2 * np.pi * f, drive, strict=True):
+        x = np.linalg.solve(K + 1j * w * E - w**2 * M, model.B @ load)
+        lost.append(0.5 * w**2 * (x.conj() @ E @ x).real)
+    assert radiated.min() > 0
+    assert radiated.max() > 1e-3 * supplied.max()
+    assert supplied == pytest.approx(radiated + np.array(lost), rel=1e-6)

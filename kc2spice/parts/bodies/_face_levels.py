@@ -22,6 +22,9 @@ from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.scene.rows import Neglected
 
 TOLERANCE = 0.01  # relative tolerance of a resonance and of the diameter of a support
+# Largest k a for which the dipole formula holds: there the exact pressure of a rigid disc without a
+# baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
+LARGEST_DIPOLE_KA = 1.5
 MAX_MODES = 6  # number of modes whose shapes are compared with a piston
 HALF_QUALITY = 20 * math.log10(2)  # dB, change of a level at resonance if the Q factor is halved
 # dB, difference of the radiated power from which on a face is not a piston: the tolerance of a
@@ -67,16 +70,20 @@ class FaceLevels:
 
 @dataclass(frozen=True)
 class FaceOfBody:
-    """Full model with an acoustic port and the piston that represents it."""
+    """Full model with an acoustic port and the piston that represents it.
+
+    The modes are those below ``end`` [Hz], at most ``count``.
+    """
 
     device: FiniteElementModel
     port: str
     keys: RadiationKeys
     end: float
+    count: int = MAX_MODES
 
     def motions(self) -> tuple[np.ndarray, FaceMotion]:
         """Return frequencies [Hz] and motions of the modes in the band."""
-        hertz, z = compute_lowest_modes(self.device, MAX_MODES, self.end)
+        hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     def levels(self, hertz: Sequence[float] | np.ndarray) -> np.ndarray | None:
@@ -123,7 +130,8 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
     ratios = [motion.power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
     power = 10 * np.log10(ratios)
     worst, unbaffled, detuned = int(np.abs(power).argmax()), None, None
-    if motion.axisymmetric and face.keys.shape == "baffled_piston":
+    small = numbers[main] * radius <= LARGEST_DIPOLE_KA
+    if motion.axisymmetric and small and face.keys.shape == "baffled_piston":
         unbaffled = 20 * math.log10(motion.unbaffled_ratios(numbers[main])[main])
     if levels is not None:
         sides = face.levels(hertz[main] * np.array([1 - TOLERANCE, 1 + TOLERANCE]))

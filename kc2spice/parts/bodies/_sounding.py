@@ -77,15 +77,22 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _load_levels(
         self, part: Part[FieldKeysT], scene: Scene, port: str, keys: RadiationKeys
     ) -> FaceLevels | None:
-        from kc2spice.parts.bodies._face_levels import FaceLevels, FaceOfBody
+        from kc2spice.parts.bodies._face_levels import MAX_MODES, FaceLevels, FaceOfBody
 
         end = float(self.reduction(part, scene).band[1])
+        # a transient excites the first resonance most, and its band has no other meaning
+        count = MAX_MODES if scene.analysis.small else 1
         radiation = keys.model_dump(mode="json")
-        key: dict[str, Any] = {"full": self.full_key(part, scene), "port": port, "end": end}
+        key: dict[str, Any] = {
+            "full": self.full_key(part, scene),
+            "port": port,
+            "end": end,
+            "count": count,
+        }
         key |= {"radiation": radiation}
 
         def build() -> FaceLevels | None:
-            face = FaceOfBody(self.device(part, scene), port, keys, end)
+            face = FaceOfBody(self.device(part, scene), port, keys, end, count)
             return self._estimate_levels(part, scene, face)
 
         sources = (*LEVEL_SOURCES, __name__)
