@@ -594,7 +594,9 @@ def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     motion, charge = declaration.split_motion(declaration.stored_quantity(b))
-    direct, inner = add_trees(declaration.direct_flow(b), motion), b.plus
+    direct, inner = declaration.direct_flow(b), b.plus
+    if motion != ZERO:
+        direct = add_trees(direct, motion)
     unit = _format_power_of_ten(b.domain.through_variable.per_unit)
     times_unit = "" if unit == ONE else f"*{format_tree(unit)}"
     heating = b == declaration.heat_branch
@@ -624,7 +626,9 @@ def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     motion, flux = declaration.split_motion(declaration.stored_quantity(b))
-    drop, inner = add_trees(declaration.direct_flow(b), motion), f"in_{b.name}"
+    drop, inner = declaration.direct_flow(b), f"in_{b.name}"
+    if motion != ZERO:
+        drop = add_trees(drop, motion)
     unit = _format_power_of_ten(b.domain.across.per_unit)
     across = b.domain.across.name.replace("_", " ")
     integral, si_unit = _time_integral(b.domain.across)

@@ -688,6 +688,8 @@ class Declaration:
         The quantity must be affine in displacements with a node in ``velocities``.
         """
         moving = [b for b in self.displacements if b.name in self.velocities]
+        if not moving:
+            return ZERO, stored
         rates = [multiply_trees(differentiate_tree(stored, b.name), Name(b.rate)) for b in moving]
         still = add_trees(substitute_names(stored, {b.name: ZERO for b in moving}))
         return add_trees(ZERO, *rates), still

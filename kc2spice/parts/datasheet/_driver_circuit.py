@@ -22,6 +22,7 @@ from typing import NamedTuple
 from kc2spice.core.quantities import AIR_DENSITY, Section
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._ladders import RelaxationLadder, creep_ladder, semi_inductance_ladder
 from kc2spice.parts.datasheet._resonator import TWO_PI
 from kc2spice.physics import Declaration, current, displacement
@@ -29,6 +30,8 @@ from kc2spice.physics.declaration import Branch, branch
 
 FRONT, REAR = "front", "rear"
 SEMI_INDUCTANCE_KEYS = ("leb", "ke", "rss")
+SIGN = "um and N count along plus current; 1 A into a pin pushes it that way with 1 N"
+SOUND_SIGN = "; a cone that moves this way presses air out of front and draws it in by rear"
 AIR_NOTE = "part of mms that is the air load of radiation parts"
 _AMBIENT = "ambient"
 COIL = "coil"  # current of a voice coil between plus and the node of the eddy currents
@@ -181,7 +184,9 @@ def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
     The coenergy of a pressure is ``sd x p`` on the rear, and the negative of it on the front, where
     the cone presses air out.
     """
-    terms.params.append(positive_parameter("sd", area, "m2", "effective area of the cone"))
+    terms.params.append(
+        positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
+    )
     for side, sign in ((FRONT, "-"), (REAR, "")):
         if side in sides:
             pressure = f"p_{side}"
@@ -227,7 +232,7 @@ def motor(
         conductors=(i,),
         temperature_coefficient=find_resistance_coefficient("copper"),
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
-        sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
+        sign=SIGN + SOUND_SIGN * bool(sides),
         inner=tuple(more.inner),
         # sound is the second derivative of the displacement, which must not be differentiated twice
         velocities={"x": "speed_m"} if sides else {},
@@ -243,7 +248,7 @@ def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaratio
     moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
     if air:
         moving += " - air"
-        params.append(positive_parameter("air", air, "kg", AIR_NOTE))
+        params.append(positive_parameter("air", round_to_digits(air), "kg", AIR_NOTE))
     if added:
         moving += " + added_mass"
         params.append(positive_parameter("added_mass", added, "kg", "mass fixed to the cone"))

@@ -79,10 +79,8 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     vas: Annotated[float, si("m3")] | None = Field(
         None, gt=0, description="Volume of air that has the compliance of the suspension"
     )
-    added_mass: Mass = Field(
-        0.0,
-        ge=0,
-        description="Mass fixed to the cone besides mms, as in measurements; by default none",
+    added_mass: Mass | None = Field(
+        None, ge=0, description="Mass fixed to the cone besides mms; by default none"
     )
     zmax: Resistance | None = Field(None, gt=0, description="Impedance at fs, re (1 + qms/qes)")
     creep: Ratio | None = Field(

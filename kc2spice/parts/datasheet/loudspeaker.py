@@ -232,7 +232,7 @@ stop = "1 kHz"
             if RADIATION in scene.joined_types(part.name, side)
         ]
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
-        return moving_mass(driver.mms, air, part.keys.added_mass)
+        return moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
         return ("cone",)
