@@ -45,6 +45,7 @@ EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
 # s, largest step in nonlinear circuits, in which error control resolves the changes
 NONLINEAR_STEP = 10e-6
+APERIODIC_Q = 0.6  # a motion that does not oscillate has 0.5; with a margin for rounding
 RESONANT_Q = 2.0  # Q factor above which the errors of steps accumulate
 SAMPLE_COUNT = 2500
 WINDOW_COUNT = 16
@@ -76,7 +77,7 @@ def choose_largest_step(build: Build) -> StepLimit:
     limits += [StepLimit(row.step, row.what) for row in scales]
     start = min(limits, key=attrgetter("step"))
     linearised = linearised_scene(build)
-    if not linearised.linear and start.step > NONLINEAR_STEP:
+    if not linearised.resolved_by_error_control and start.step > NONLINEAR_STEP:
         start = StepLimit(NONLINEAR_STEP, "not all of it is linear")
     rule, limits = INTEGRATION_RULES[scene.solver.method], [start]
     for motion in linearised.motions:
@@ -85,14 +86,15 @@ def choose_largest_step(build: Build) -> StepLimit:
     return min(limits, key=attrgetter("step"))
 
 
-def _is_thermal(network: Network) -> bool:
-    """Return whether all pins of a network are thermal.
+def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
+    """Return whether a network conducts heat, and no motion of it at rest oscillates.
 
-    Heat has no inertia. A thermal network cannot ring, and error control resolves its time
-    constants.
+    Heat has no inertia, and error control resolves its time constants. The losses of electrical
+    parts and the resistances of warm conductors follow the slow temperatures.
     """
     kinds = set(list_pin_kinds(network.laws).values())
-    return all(DOMAINS[kind].is_relaxing for kind in kinds)
+    heat = any(DOMAINS[kind].is_relaxing for kind in kinds)
+    return heat and not (motion.modes.quality > APERIODIC_Q).any()
 
 
 @dataclass(frozen=True)
@@ -110,10 +112,10 @@ class LinearisedScene:
         return self.build.scene is build.scene and self.build.models is build.models
 
     @property
-    def linear(self) -> bool:
-        """Whether the equations of all networks are known and linear (or thermal)."""
+    def resolved_by_error_control(self) -> bool:
+        """Whether no network can ring unnoticed: each is linear, or relaxes and gives off heat."""
         for network, motion in zip(self.networks, self.motions, strict=True):
-            if motion is None or not (motion.linear.exact or _is_thermal(network)):
+            if motion is None or not (motion.linear.exact or _only_relaxes(network, motion)):
                 return False
         return not self.missing
 

@@ -287,3 +287,23 @@ def test_heat_without_a_path_to_the_ambient_temperature_is_refused(tables):
         kc.load_scene(scene)
     assert "heat flow of r" in str(caught.value)
     assert "thermal_resistor" in caught.value.hint
+
+
+def test_slow_heating_needs_no_small_steps():
+    """A wire of copper warms for 100 s: the rise is that of scipy, in far less than 1e7 steps."""
+    parts = {"wire": {"part": "resistor", "resistance": "10 Ohm",
+                      "temperature_coefficient": "3.93e-3 1/K",
+                      "pins": {"a": "supply.out", "heat": "mass.a"}},
+             "supply": {"part": "source", "pulse": {"high": "2 V", "width": "1 ks",
+                                                    "edge": "1 ms", "start": "1 s"}}}  # fmt: skip
+    scene = scene_of(parts, solver={"stop": "100 s", "reltol": 1e-4})
+    scene["mass"] = scene["mass"] | {"capacity": "0.2 J/K"}
+    result = kc.run(scene)
+    assert result.time.size < 1e4
+
+    def slope(t, T):
+        return (4.0 / (10 * (1 + 3.93e-3 * T)) - T / 50.0) / 0.2
+
+    exact = scipy.integrate.solve_ivp(slope, (0, 99), [0.0], rtol=1e-9, dense_output=True).sol
+    rise = np.where(result.time > 1.001, exact(np.maximum(result.time - 1.0005, 0))[0], 0.0)
+    assert np.abs(result.waves["mass.temperature"] - rise).max() < 1e-3 * rise.max()
