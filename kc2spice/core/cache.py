@@ -45,11 +45,11 @@ def cache_dir() -> Path:
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
     variable, below = _CACHE_DIRECTORIES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    return Path(os.environ.get(variable) or _home() / below) / "kc2spice"
+    return Path(os.environ.get(variable) or _home_directory() / below) / "kc2spice"
 
 
 @cache
-def _home() -> Path:
+def _home_directory() -> Path:
     """Return the user's home directory, or a private directory if there is none.
 
     An unknown uid in a container has no home. A fixed name in the common temporary directory could

@@ -551,8 +551,8 @@ def _write_force(
     yield f"*   {b.through} = {format_tree(declaration.name_power_series(force))}"
     terms = lookups.split(add_trees(force, noise))
     for k, term in enumerate(terms):
-        for label in sorted(names(term) & set(lookups.single)):
-            yield f"*   the lookup of {lookups.single[label]}"
+        for label in sorted(names(term) & set(lookups.inline_formulas)):
+            yield f"*   the lookup of {lookups.inline_formulas[label]}"
         name = f"B{node}{k + 1 if len(terms) > 1 else ''}"
         yield Element.behaviour(name, *ends, "I", _write_law(declaration, term, nodes))
     if metered:

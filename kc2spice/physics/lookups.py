@@ -121,7 +121,7 @@ class Lookups:
         )
 
     @property
-    def single(self) -> dict[str, str]:
+    def inline_formulas(self) -> dict[str, str]:
         """Formulas of the lookups that occur once, by their labels."""
         once = (calls for calls in self.labels if calls not in self.repeated)
         return {self.labels[calls]: self.describe(calls) for calls in once}

@@ -62,7 +62,7 @@ class Interval:
         devices = sum(device.law.energy(e, mode) for device, e, mode in item)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
-    def stored(self, X: np.ndarray) -> np.ndarray:
+    def stored_quantities(self, X: np.ndarray) -> np.ndarray:
         """Return the stored quantities ``g`` (n, nt)."""
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
@@ -103,7 +103,7 @@ class Interval:
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``g`` and ``f`` (n,) at one time."""
         X = self.with_sources(t, z)[:, None]
-        return self.stored(X)[:, 0], self.flow(X)[:, 0]
+        return self.stored_quantities(X)[:, 0], self.flow(X)[:, 0]
 
     def inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
         """Inputs of every device."""

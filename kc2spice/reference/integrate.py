@@ -188,7 +188,7 @@ class Radau:
         last = 0.0
         for k in range(_MAX_NEWTON_STEPS):
             X = np.concatenate((self.z[:, None] + Z, sources))
-            r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _RADAU_INVERSE.T / h
+            r = p.flow(X) - (p.stored_quantities(X) - self.g[:, None]) @ _RADAU_INVERSE.T / h
             change = self._newton_change(r)
             size = _norm(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
@@ -246,7 +246,7 @@ class Radau:
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
         # of the stored value; ``M`` times the unknowns belongs to an earlier state
-        late = p.stored(np.concatenate((step.first[:, None] + step.increments, sources)))
+        late = p.stored_quantities(np.concatenate((step.first[:, None] + step.increments, sources)))
         moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
         error = self._solve(self.f + moved, 0)

@@ -299,7 +299,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     The resonance has the height of the peak and the width at half of the height. A capacitance is
     added if it is missing.
     """
-    missing = samples.missing(elements)
+    missing = samples.unexplained_admittance(elements)
     top = int(np.argmax(missing.real))
     if missing.real[top] <= 0:
         return ()
@@ -354,7 +354,7 @@ def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
     There the missing conductance, its ratio to abs(Y), or the deviation is largest.
     """
     left = samples.deviation(elements)
-    missing = samples.missing(elements).real
+    missing = samples.unexplained_admittance(elements).real
     at = (missing, missing / np.abs(samples.Y), np.abs(left))
     indices = dict.fromkeys(int(np.argmax(item)) for item in at)
     return [float(2 * np.pi * samples.f[k]) for k in indices]

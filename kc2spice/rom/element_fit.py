@@ -217,7 +217,7 @@ class Samples:
         parallel, leads = self._sum_elements(elements)
         return np.asarray(parallel / (1 + leads * parallel))
 
-    def missing(self, elements: Elements) -> np.ndarray:
+    def unexplained_admittance(self, elements: Elements) -> np.ndarray:
         """Return the admittance (n,) that the elements in parallel leave unexplained."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)

@@ -208,7 +208,7 @@ class LinearModel:
         put = object.__setattr__
         _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
-            put(self, "A", negate(_require_matrix(self.K, "K", self.name))), put(self, "K", None)
+            put(self, "A", negate(_convert_matrix(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
         if first in (self.K is not None, self.M is not None) or self.B is None:
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
@@ -220,10 +220,10 @@ class LinearModel:
                 "and as needed C, D, E",
             )
         for letter in "MEKA":
-            put(self, letter, _require_matrix(getattr(self, letter), letter, self.name))
-        put(self, "rayleigh", _require_rayleigh(self.rayleigh, self.name))
+            put(self, letter, _convert_matrix(getattr(self, letter), letter, self.name))
+        put(self, "rayleigh", _read_rayleigh(self.rayleigh, self.name))
         n = (self.A if first else self.K).shape[0]
-        B, C, D = (_require_matrix(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
+        B, C, D = (_convert_matrix(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
         if self.M is not None and self.E is None and self.rayleigh is None:
             _require_outputs(C, B, n, self.name)
         C = B.T.copy() if C is None else C
@@ -561,7 +561,7 @@ def _set_structural(model: LinearModel) -> None:
         if model.structural:
             expected = "a complex K, or loss_factor"
             raise UsageError("structural damping is defined twice", where=where, expected=expected)
-        put(model, "K", _require_matrix(K.real, "K", where))
+        put(model, "K", _convert_matrix(K.real, "K", where))
         put(model, "loss", K.imag)
     try:
         eta = float(model.loss_factor)
@@ -570,7 +570,7 @@ def _set_structural(model: LinearModel) -> None:
     if not 0 <= eta < np.inf:
         raise _structural_loss_error(where, f"{eta:g}", "the loss factor")
     if model.loss is not None:
-        loss, eta = _extract_loss(model.K, _require_matrix(model.loss, "loss", where), where)
+        loss, eta = _extract_loss(model.K, _convert_matrix(model.loss, "loss", where), where)
         put(model, "loss", loss)
     put(model, "loss_factor", eta)
     if model.structural and model.M is None:
@@ -643,7 +643,7 @@ def stores_one_triangle(matrix: Matrix) -> bool:
     return bool(upper != lower)
 
 
-def _require_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
+def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
     """Return the pair as two floats, or None."""
     if pair is None:
         return None
@@ -700,7 +700,7 @@ def _require_heat(model: LinearModel) -> None:
         )
 
 
-def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
+def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
     """Convert a matrix to real numbers, as an array unless it may be ``sparse``.
 
     None remains None.
@@ -709,7 +709,7 @@ def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
         return None
     if isinstance(matrix, Schur):
         for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
-            _require_matrix(part, letter, where)
+            _convert_matrix(part, letter, where)
         return matrix
     if not isinstance(matrix, np.ndarray):  # asks scipy last
         sparse_input = scipy.sparse.issparse(matrix)

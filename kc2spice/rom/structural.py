@@ -163,7 +163,7 @@ class _Search:
         self.B, self.C = T.T @ small.B, small.C @ T
         if small.pencil.collocated:
             self.C = self.B.T.copy()
-        for former in ("dashpot_modes", "_decoupled"):
+        for former in ("dashpot_modes", "_largest_decoupled_share"):
             self.__dict__.pop(former, None)
         self.raised = self._peak_amplification()
 
@@ -176,7 +176,7 @@ class _Search:
     @cached_property
     def dashpot_modes(self) -> list[Oscillator]:
         """Modes with one dashpot each; rigid-body modes have no dashpot."""
-        share = self._decoupled
+        share = self._largest_decoupled_share
         return [
             viscous_oscillator(k, share * h)
             if k > 0
@@ -185,7 +185,7 @@ class _Search:
         ]
 
     @cached_property
-    def _decoupled(self) -> float:
+    def _largest_decoupled_share(self) -> float:
         """Largest share of the loss of all modes that can be subtracted without a negative
         loss."""
         losses = np.diag(self.H)
@@ -198,7 +198,7 @@ class _Search:
 
     def model(self, modes: Sequence[Oscillator]) -> LinearModel:
         """Return the passive model of these modes, with the loss that couples them."""
-        rest = self.H - self._decoupled * np.diag(np.diag(self.H))
+        rest = self.H - self._largest_decoupled_share * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
         K, E, M = assemble_oscillators(
@@ -221,7 +221,7 @@ class _Search:
         before: list[float] = []
         after: list[float] = []
         for j, (k, mode) in enumerate(zip(self.squares, self.dashpot_modes, strict=True)):
-            target = k + 1j * self._decoupled * losses[j] + s**2
+            target = k + 1j * self._largest_decoupled_share * losses[j] + s**2
             dynamic_stiffness = k + 1j * losses[j] + s**2 + s * self.other_damping[j, j]
             product = np.abs(np.outer(self.C[:, j], self.B[j]))
             weight = (product / base).max(axis=(1, 2)) / np.abs(dynamic_stiffness) ** 2

@@ -17,7 +17,7 @@ from typing import Any
 from kc2spice.core.domains import ELECTRICAL, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.frames import find_frames
-from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, BuildRecord, NameAllocator, Part, Scene, Terminal
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Rest
 
@@ -181,7 +181,7 @@ def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
 
 def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
     """Return the node of each pin, named after the first pin on its net."""
-    names, nets = Names(("0", GROUND)), dict[Pin, str]()
+    names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
         nets |= dict.fromkeys(group, "0" if _GROUND_NAMES in group else names.name(*preferred))
@@ -191,7 +191,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 def _with_inner_names(scene: Scene) -> Scene:
     """Return the scene with the names of ammeters, inner nodes and further cards."""
     cards = map("".join, product(ascii_lowercase, scene.parts))
-    free = Names((*scene.nets.values(), *cards))
+    free = NameAllocator((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}
     for part in scene.parts.values():
         for words in part.type.inner_names(part, scene):

@@ -22,7 +22,7 @@ from kc2spice.core.untrusted_files import (
     make_identifier,
 )
 from kc2spice.scene.compose import with_joins
-from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
+from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
 from kc2spice.scene.overrides import read_overrides, set_key
 from kc2spice.scene.parttype import find_part_type, type_names
 from kc2spice.scene.plausible import apply_action, check_drive_levels
@@ -222,7 +222,7 @@ def _with_default_drive(scene: Scene) -> Scene:
             hint="leave the electrical port of a body open, which then is driven by 1 V",
         )
     driven = ports[0][0]
-    name = Names(parts).name(driven, f"{driven}_drive")
+    name = NameAllocator(parts).name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _make_part(name, table, _find_part_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})

@@ -186,7 +186,7 @@ class Part(Generic[KeysT]):
         return (rom.parameters if rom else None) or {}
 
     @property
-    def declares(self) -> bool:
+    def declares_ports(self) -> bool:
         """Whether the part is a body from files that declare the ports."""
         return self.reduced and self.type.ports_of_files
 
@@ -225,7 +225,7 @@ class Record(Generic[T]):
     reduction: Rom | None = None
 
 
-class Names:
+class NameAllocator:
     """Allocator of names that differ in more than letter case."""
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
@@ -260,7 +260,7 @@ class DeclaredScene:
 
     ``parts`` are in the order of the file; parts that another part expands to follow that part.
     ``home`` is the folder of the file. ``ports`` selects the ports of bodies: the required ports,
-    all declared ports for an export (:attr:`Part.declares`), or all ports for documentation.
+    all declared ports for an export (:attr:`Part.declares_ports`), or all ports for documentation.
     ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
     from the analysis. ``workspace`` contains large results, such as meshes, for this scene and for
     scenes that are made from it.
@@ -527,7 +527,7 @@ def scene_hash(scene: Scene) -> str:
     for part in scene.parts.values():
         keys = part.keys.model_dump(mode="json", exclude_none=True)
         parts[part.name] = [part.type.name, keys, dict(part.pins)]
-        if part.declares:
+        if part.declares_ports:
             declaring.append(part.name)
     content["parts"] = parts
     # A part without a scene always has all of its ports.

@@ -307,7 +307,7 @@ class _States:
     B: np.ndarray
     C: np.ndarray
 
-    def weigh(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
+    def sum_states(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
         """Return the sources that sum the states with the weights ``row``."""
         result = []
         for k in np.flatnonzero(row).tolist():
@@ -832,7 +832,7 @@ class _OutputLaws:
         return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
 
     def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
-        return self.states.weigh(row, self.base)
+        return self.states.sum_states(row, self.base)
 
     def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
         """Return the sources by inputs, without weights that are rounding errors."""
@@ -1200,7 +1200,7 @@ def _block_cards(
                     _INTEGRATOR_COMMENT,
                     Element.of(f"G{node}", node, base, node, base, FREE_LEAK),
                 ]
-            sums = states.weigh(farad * states.A[k], base)
+            sums = states.sum_states(farad * states.A[k], base)
             inputs = _weigh_inputs(terminals, farad * states.B[k], base)
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, ac_command, dc_command, noise_command, transient_command
 from kc2spice.netlist.elements import add_title
-from kc2spice.scene.model import Build, Names
+from kc2spice.scene.model import Build, NameAllocator
 from kc2spice.scene.results import NOISE_WAVE
 
 
@@ -48,7 +48,9 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
 def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
     """Return the command of a noise analysis and its input source."""
     selected = build.scene.analysis
-    node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
+    node = NameAllocator((*build.scene.parts, *build.scene.nets.values())).name(
+        NOISE_WAVE, "noise_input"
+    )
     drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
     load = Element.of(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)

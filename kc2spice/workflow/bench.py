@@ -61,7 +61,7 @@ Errors = dict[str, float]  # error of each metric
 
 
 @dataclass
-class _Point:
+class _TimedSetting:
     """Setting with its run, the errors of the metrics, and the CPU time [s] of each run."""
 
     place: Place
@@ -80,7 +80,7 @@ class _Point:
         """Median of the CPU times [s]."""
         return statistics.median(self.times)
 
-    def dominates(self, other: _Point) -> bool:
+    def dominates(self, other: _TimedSetting) -> bool:
         """Return whether this point is better in error or time, and worse in neither."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
@@ -98,7 +98,7 @@ class _Plane:
         self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
         self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
-        self.points: dict[str, _Point] = {}
+        self.points: dict[str, _TimedSetting] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
         self.known: dict[tuple[str, float], Errors] = {}
@@ -141,7 +141,7 @@ class _Plane:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
         else:
-            self.points[label] = _Point(place, settings, run, errors, [run.cpu_s])
+            self.points[label] = _TimedSetting(place, settings, run, errors, [run.cpu_s])
 
     def axis_errors(self, axis: Axis, notch: float) -> Errors:
         """Return the errors that one value of an axis causes while all others are unchanged.
@@ -158,16 +158,16 @@ class _Plane:
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
 
-    def error_bound(self, point: _Point) -> float:
+    def error_bound(self, point: _TimedSetting) -> float:
         """Return the largest sum of the errors that each value of a setting causes alone."""
         errors = [*map(self.axis_errors, self.axes, point.place), self.unrefined_errors]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
-    def safe_error(self, point: _Point) -> float:
+    def safe_error(self, point: _TimedSetting) -> float:
         """Return the error of a setting, or its bound if errors of its values cancel."""
         return max(point.error, self.error_bound(point))
 
-    def find_cheapest(self, limit: float) -> _Point | None:
+    def find_cheapest(self, limit: float) -> _TimedSetting | None:
         """Return the fastest setting within ``limit``; among equally fast settings, the most
         accurate."""
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
@@ -223,7 +223,7 @@ class _Plane:
             for point in repeated:
                 point.times.append(refine.repeat_timing(point.run))
 
-    def record(self, point: _Point) -> dict[str, Any]:
+    def record(self, point: _TimedSetting) -> dict[str, Any]:
         """Return the row of a setting in ``bench.json``."""
         return {
             "label": _describe_settings(point.settings),
@@ -274,7 +274,7 @@ def bench(
         plane, requested = _Plane(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
-        check = _require_convergence(plane, selected, keep_all=bool(requested))
+        check = _measure_convergence(plane, selected, keep_all=bool(requested))
         plane.search(error, progress)
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
@@ -323,7 +323,7 @@ def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(result or scalars or numbers))
 
 
-def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bool) -> Errors:
+def _measure_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bool) -> Errors:
     """Return the change of each selected metric at the finest settings.
 
     The metrics that converge become the ``names`` of the plane; with ``keep_all``, all do.

@@ -27,7 +27,7 @@ from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noise
 from kc2spice.scene.axes import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.frames import MOTION_UNITS
-from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
+from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
@@ -165,7 +165,7 @@ def _list_items(
     yield from noise_items
     if not scene.analysis.small:
         return
-    names, inductors = Names(scene.parts), []
+    names, inductors = NameAllocator(scene.parts), []
     for group in loose:
         if group.nets:
             net = group.nets[0]

@@ -361,14 +361,14 @@ class _Body:
         """Return values of the keys by the dotted names that they have in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
-    def exact(self, values: Mapping[str, float]) -> np.ndarray:
+    def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of the full model."""
         model = self.full(values, moved=False)
         pencil = modal_projection(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
             return self.complex_constants_response(pencil, values)
         charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
-        return self.lossy(charge, float(model.D[0, 0]), values)
+        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
 
     @property
     def damping(self) -> Damping:
@@ -414,7 +414,7 @@ class _Body:
         assert at is not None
         damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
         charge = modal_transfer(damped, self.frequencies)[:, 0, 0]
-        return self.lossy(charge, float(model.D[0, 0]), values)
+        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
 
     def loss_factor(self, values: Mapping[str, float]) -> float:
         """Return ``1 / Q`` at values of the keys."""
@@ -429,7 +429,9 @@ class _Body:
         """Frequencies (n + 1,) [Hz]: one near zero, then the frequencies of the data."""
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
-    def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
+    def lossy_admittance(
+        self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
+    ) -> np.ndarray:
         """Return the admittance (n,) [S] with the loss of the dielectric.
 
         ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
@@ -460,7 +462,7 @@ class _Body:
             for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
                 charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
-                other = self.lossy(charge, float(model.D[0, 0]), values)
+                other = self.lossy_admittance(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
         if not self.damping.per_material:
             pencil = modal_projection(model, float(self.data.f[-1]))
@@ -485,7 +487,7 @@ class _Body:
         if self.damping.model == "ieee176":
             return self.complex_constants_response(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
-        return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
+        return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:
         """Return the least squares problem of the reduced model of a parameter range."""
@@ -594,7 +596,7 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
     x = descent.start(end.values)
     for _ in range(MESH_CORRECTIONS):
         values = descent.values(x)
-        exact = body.exact(values)
+        exact = body.full_admittance(values)
         left, J = descent.log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
         free = np.array([not is_at_bound(item, values[item.key]) for item in body.keys])

@@ -15,7 +15,7 @@ from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
-from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
+from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.workflow.time_step import choose_largest_step, with_linearised_scene
 
@@ -69,7 +69,7 @@ def name_subcircuits(scene: Scene) -> dict[str, str]:
     types: dict[str, set[str]] = {}
     for part in parts:
         types.setdefault(names[part.name].lower(), set()).add(part.type.name)
-    unique = Names(names[part.name] for part in parts if part.netlist)
+    unique = NameAllocator(names[part.name] for part in parts if part.netlist)
     for part in parts:
         if not part.netlist:
             name = names[part.name]
@@ -118,7 +118,7 @@ def _number_subcircuits(build: Build) -> dict[str, str]:
     scene, names = build.scene, dict(build.libraries)
     header = Header(scene.name, scene_hash(scene))
     users = [*names.values()]
-    unique, equal = Names(users), dict[tuple[str, ...], str]()
+    unique, equal = NameAllocator(users), dict[tuple[str, ...], str]()
     for part in scene.parts.values():
         name = build.libraries[part.name]
         if users.count(name) < 2 or part.netlist or not isinstance(part.type, LinearBody):

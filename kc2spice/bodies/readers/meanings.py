@@ -94,7 +94,7 @@ _REAL = r"(re|real|realpart)"
 _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
-def _affix(of: str, word: str) -> str:
+def _affix_pattern(of: str, word: str) -> str:
     """Return the pattern of a word before or after a letter, as in ``magz`` and ``zmag``."""
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
@@ -103,24 +103,24 @@ _SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature
 SOUND_QUANTITY = "sound pressure"  # quantity that does not determine an impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_affix('z', _MAGNITUDE)}"),
+    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_affix_pattern('z', _MAGNITUDE)}"),
     ColumnKind(
         "y",
         ("admittance", "decibel"),
-        rf"y|y?\|y\||{_affix('y', _MAGNITUDE)}",
+        rf"y|y?\|y\||{_affix_pattern('y', _MAGNITUDE)}",
     ),
     ColumnKind("z", ("impedance",), _MAGNITUDE, needs_unit=True),
     ColumnKind("y", ("admittance",), _MAGNITUDE, needs_unit=True),
     ColumnKind("phase", ("angle",), _PHASE),
-    ColumnKind("phase_z", ("angle",), _affix("z", _PHASE)),
-    ColumnKind("phase_y", ("angle",), _affix("y", _PHASE)),
+    ColumnKind("phase_z", ("angle",), _affix_pattern("z", _PHASE)),
+    ColumnKind("phase_y", ("angle",), _affix_pattern("y", _PHASE)),
     ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
-    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_affix('z', _REAL)}"),
-    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_affix('z', _IMAGINARY)}"),
+    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_affix_pattern('z', _REAL)}"),
+    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_affix_pattern('z', _IMAGINARY)}"),
     ColumnKind("rp", ("impedance",), r"z?rp"),
-    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_affix('y', _REAL)}"),
-    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_affix('y', _IMAGINARY)}"),
+    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_affix_pattern('y', _REAL)}"),
+    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_affix_pattern('y', _IMAGINARY)}"),
     ColumnKind("r", ("impedance",), _REAL, needs_unit=True),
     ColumnKind("x", ("impedance",), _IMAGINARY, needs_unit=True),
     ColumnKind("g", ("admittance",), _REAL, needs_unit=True),
@@ -137,34 +137,34 @@ COLUMN_KINDS = (
     ColumnKind(
         "s_size",
         ("number", "decibel"),
-        rf"{_affix('s', _MAGNITUDE)}|{_affix('s11', _MAGNITUDE)}",
+        rf"{_affix_pattern('s', _MAGNITUDE)}|{_affix_pattern('s11', _MAGNITUDE)}",
     ),
     ColumnKind(
         "s_phase",
         ("angle",),
-        rf"{_affix('s', _PHASE)}|{_affix('s11', _PHASE)}",
+        rf"{_affix_pattern('s', _PHASE)}|{_affix_pattern('s11', _PHASE)}",
     ),
     ColumnKind(
         "s_real",
         ("number",),
-        rf"{_affix('s', _REAL)}|{_affix('s11', _REAL)}",
+        rf"{_affix_pattern('s', _REAL)}|{_affix_pattern('s11', _REAL)}",
     ),
     ColumnKind(
         "s_imag",
         ("number",),
-        rf"{_affix('s', _IMAGINARY)}|{_affix('s11', _IMAGINARY)}",
+        rf"{_affix_pattern('s', _IMAGINARY)}|{_affix_pattern('s11', _IMAGINARY)}",
     ),
     ColumnKind(
         "gain",
         ("decibel", "number"),
-        rf"gain|{_affix('gain', _MAGNITUDE)}",
+        rf"gain|{_affix_pattern('gain', _MAGNITUDE)}",
         needs_unit=True,
     ),
     ColumnKind("gain", ("decibel",), _MAGNITUDE, needs_unit=True),
-    ColumnKind("gain_phase", ("angle",), _affix("gain", _PHASE)),
+    ColumnKind("gain_phase", ("angle",), _affix_pattern("gain", _PHASE)),
     ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
-    ColumnKind("gain_real", ("number",), _affix("gain", _REAL)),
-    ColumnKind("gain_imag", ("number",), _affix("gain", _IMAGINARY)),
+    ColumnKind("gain_real", ("number",), _affix_pattern("gain", _REAL)),
+    ColumnKind("gain_imag", ("number",), _affix_pattern("gain", _IMAGINARY)),
     ColumnKind("time", ("time",), r"t|tp|time|elapsed|elapsedtime|pulse(width|duration)"),
     ColumnKind(
         "temperature",

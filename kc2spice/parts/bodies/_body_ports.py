@@ -85,7 +85,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         if self.gives_off_heat(part, scene):
             known |= {HEAT, AMBIENT}
         _require_ports(part, sorted(names - known), names_of(every))
-        if scene.ports == "declared" and part.declares:
+        if scene.ports == "declared" and part.declares_ports:
             return every
         used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _names_in_scene(p)]
         return tuple(used) or every[:1]

@@ -178,7 +178,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"
             why = "nothing of the scene needs them"
-            if part.declares:
+            if part.declares_ports:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
         if has_complex_constants(part):

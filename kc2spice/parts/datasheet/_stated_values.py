@@ -61,7 +61,7 @@ class StatedValues:
         """
         self._require_computable()
         self._require_enough_values()
-        result = self._fitted
+        result = self._fitted_unknowns
         self._require_solution(result)
         self._require_agreement(result)
         self._require_unique_circuit(result)
@@ -93,7 +93,7 @@ class StatedValues:
         return self._logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
-    def _fitted(self) -> np.ndarray:
+    def _fitted_unknowns(self) -> np.ndarray:
         """Logarithms of the unknowns."""
         return self._fit_unknowns(np.log(self.start))
 
@@ -201,7 +201,7 @@ class StatedValues:
 
     def _correction(self, key: str) -> float:
         """Difference between the logarithms of a value and of the value implied by all others."""
-        return abs(self._residual(key, self._without(key)._fitted))
+        return abs(self._residual(key, self._without(key)._fitted_unknowns))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
@@ -239,7 +239,7 @@ class StatedValues:
     def _contradiction(self, key: str, other: str) -> UsageError:
         implied = {name: self._without(name) for name in (key, other)}
         texts = {
-            name: self.text(name, math.exp(rest._logarithm(name, rest._fitted)))
+            name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))
             for name, rest in implied.items()
         }
         stated = [self.text(name, self.stated[name]) for name in (key, other)]

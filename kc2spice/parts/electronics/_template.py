@@ -87,7 +87,7 @@ class TemplatePart(PartType[KeysT]):
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         return self.fixed
 
-    def design(
+    def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters of the driver's netlist, and further values of the template."""
@@ -96,7 +96,7 @@ class TemplatePart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        params, values = self.design(part, build)
+        params, values = self.template_values(part, build)
         if build.has_noise and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
         return (self.netlist(header, build.libraries[part.name], params, values),)
@@ -216,7 +216,7 @@ class Driver(TemplatePart[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | None:
-        params, values = self.design(part, build)
+        params, values = self.template_values(part, build)
         declared = self.declare_circuit((*params, *make_parameters(values)))
         if declared is None or build.has_noise or build.net(part, "ref") != "0":
             return None
@@ -256,7 +256,7 @@ class CoilDriver(Driver[KeysT]):
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
 
-    def design(
+    def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         return self.for_load(part.keys, self.load(part, build))

@@ -53,7 +53,7 @@ class Diode(TemplatePart[DiodeKeys]):
     validity = "27 C, or the temperature of .options temp; no heating"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
-    def design(
+    def template_values(
         self, part: Part[DiodeKeys], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         keys = part.keys

@@ -130,7 +130,7 @@ class Netlist(PartType[NetlistKeys]):
                     f"units.{name}", "this unit of a pin is not supported", repr(kind), expected
                 )
         scope = None
-        for name, node in _probed(part, scene):
+        for name, node in _probe_names(part, scene):
             scope = scope or _read_subcircuit(part, scene)
             if node in pins or has_vector(scope, _inner_vector(node)):
                 if scene.analysis.small and "@" in _inner_vector(node):
@@ -179,7 +179,7 @@ class Netlist(PartType[NetlistKeys]):
         """Return rated pins, and the pins, currents and inner nodes of probes."""
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
-        probed = dict.fromkeys(node for _, node in _probed(part, scene))
+        probed = dict.fromkeys(node for _, node in _probe_names(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
         result = pin_voltages(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
@@ -282,7 +282,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
     return pins
 
 
-def _probed(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
+def _probe_names(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
     """Yield the names of probes of this part, with their pin, node or ``i(ELEMENT)``.
 
     Probes of the current or power at a pin are left out.

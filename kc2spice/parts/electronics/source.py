@@ -285,7 +285,7 @@ class Source(PartType[SourceKeys]):
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
-        unloaded = keys.kind == "voltage" and _drives_signals_alone(part, build)
+        unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)
         law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, size)
         signal = law.signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
@@ -353,7 +353,7 @@ def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
             )
 
 
-def _drives_signals_alone(part: Part[SourceKeys], build: Build) -> bool:
+def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:
     """Whether the voltage of the source drives only inputs of signals, which draw no current."""
     scene = build.scene
     flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}

@@ -65,12 +65,12 @@ def local_workers(count: int) -> Workers:
                 yield pool, count
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
-                _end_orphans(Path(scratch))
+                _end_orphaned_simulators(Path(scratch))
 
     return open_executor
 
 
-def _end_orphans(scratch: Path) -> None:
+def _end_orphaned_simulators(scratch: Path) -> None:
     """Kill ngspice processes of killed workers, which would still write to ``scratch``."""
     for mark in scratch.glob("*" + _GROUP_SUFFIX):
         with suppress(ProcessLookupError, PermissionError):  # the process group has already ended
