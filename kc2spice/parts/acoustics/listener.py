@@ -55,7 +55,10 @@ class ListenerKeys(Section):
         "scene",
     )
     distance: Length = Field(
-        1.0, ge=1e-6, le=1e7, description="Distance of the listener from the radiating surfaces"
+        1.0,
+        ge=1e-6,
+        le=1e7,
+        description="Distance of the listener from the centre of the radiating surfaces",
     )
     angle: Ratio = Field(
         0.0,
@@ -68,9 +71,11 @@ class ListenerKeys(Section):
 class Listener(PartType[ListenerKeys]):
     """Sum of the far fields of radiating surfaces.
 
-    ``p = j omega rho / (2 pi r) exp(-j k r) sum D_n U_n``, ``D = 2 J1(x) / x`` with
-    ``x = k a sin(angle)`` of a piston in a baffle; 4 pi and D = 1 for the other shapes (L. E.
-    Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4).
+    A piston in a baffle has ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity
+    ``D = 2 J1(x) / x``, ``x = k a sin(angle)``, and a sphere ``p_surface a / r exp(-j k (r - a))``
+    (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). An open end
+    has ``j omega rho (U + p S / (rho c)) / (4 pi r) exp(-j k r)``, the value on its axis (H.
+    Levine, J. Schwinger, Phys. Rev. 73 (1948) 383).
     """
 
     name, title = "listener", "sound pressure at a point in the far field"
@@ -151,6 +156,11 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 message = "a listener hears surfaces that radiate into the ambient pressure alone"
                 got = f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}"
                 yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}")
+        for item in sources:
+            if item.keys.shape == "sphere" and part.keys.distance < item.keys.surface_radius:
+                message = f"the listener is inside of the sphere {item.name}"
+                got, least = f"{part.keys.distance:g} m", item.keys.surface_radius
+                yield part.wrong("distance", message, got, f"at least {least:g} m")
         baffled = [item.name for item in sources if item.keys.shape == "baffled_piston"]
         if part.keys.angle > RIGHT_ANGLE and baffled:
             message = f"the listener is behind the baffle of {baffled[0]}"
@@ -182,7 +192,12 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             )
 
     def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
-        """Return the frequency [Hz] up to which the distance exceeds S / wavelength."""
+        """Return the frequency [Hz] up to which the distance exceeds S / wavelength.
+
+        The field of a sphere has no near field of pressure.
+        """
+        if source.keys.shape == "sphere":
+            return math.inf
         area = source.keys.radiator.area * source.keys.surface_radius**2
         return part.keys.distance * source.keys.fluid.sound_speed / area
 
@@ -239,12 +254,14 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             return {}
         frequency, keys = waves["frequency"].real, part.keys
         total = np.zeros(frequency.size, complex)
-        for name, source in zip(names, sources, strict=True):
-            total += waves[name] * directivity(source.keys, keys.angle, frequency)
-        # exp(-j k r) / r relative to the pressure at the reference distance without travel time
         k = 2 * np.pi * frequency / sources[0].keys.fluid.sound_speed
-        spread = np.exp(-1j * k * keys.distance) * REFERENCE_DISTANCE / keys.distance
-        return {f"{part.name}.{ACOUSTIC.across.symbol}": spread * total}
+        for name, source in zip(names, sources, strict=True):
+            # a sphere radiates from its surface, the other shapes from their centre
+            start = source.keys.surface_radius if source.keys.shape == "sphere" else 0.0
+            travel = np.exp(-1j * k * (keys.distance - start))
+            total += waves[name] * travel * directivity(source.keys, keys.angle, frequency)
+        share = REFERENCE_DISTANCE / keys.distance
+        return {f"{part.name}.{ACOUSTIC.across.symbol}": share * total}
 
     def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
         """Return the levels [dB] of an ac analysis."""
@@ -308,7 +325,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 f"first null at {format_quantity(first_null(sources, keys.angle), 'Hz')}",
             )
         if any(source.keys.shape == "free_piston" for source in sources):
-            yield Neglected("directivity without a baffle", "D = 1", "not estimated")
+            why = "the pressure is the one on the axis"
+            yield Neglected("directivity of an open end", why, "not estimated")
         size = "about 0.5 dB per metre at 20 kHz in air"
         yield Neglected("absorption in the fluid", "no loss on the path", size)
 

@@ -149,12 +149,22 @@ stop = "20 kHz"
         )
 
     def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
-        angle = part.keys.radiator.solid_angle * REFERENCE_DISTANCE
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
-            f"its travel time:\n* density / {angle:.4g} m times the rate of the volume velocity"
+            "its travel time"
         )
+        if part.keys.shape == "sphere":
+            yield "* pressure on the surface times radius / 1 m"
+            gain = f"{{radius*{format_number(1 / REFERENCE_DISTANCE)}}}"
+            yield Element.of("Esound", SOUND, AMBIENT, FACE, AMBIENT, gain)
+            return
+        angle = part.keys.radiator.solid_angle * REFERENCE_DISTANCE
+        yield f"* density / {angle:.4g} m times the rate of the volume velocity"
         yield Element.of("Fsound", AMBIENT, SOUND, METER, "1")
+        if part.keys.shape == "free_piston":
+            yield "* plus that of pressure / impedance: twice the wave that arrives at the opening"
+            gain = f"{{{ACOUSTIC.admittance:g}/impedance}}"
+            yield Element.of("Gsound", AMBIENT, SOUND, FACE, AMBIENT, gain)
         value = f"{{{format_number(SCALES[MASS] / angle)}*density}}"
         yield Element.of("Lsound", SOUND, AMBIENT, value)
 
@@ -165,11 +175,8 @@ stop = "20 kHz"
         return {**super().vectors(part, build), f"{part.name}.{SOUND}": sound}
 
     def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
-        equations, keys = super().law(part, build), part.keys
-        flow = equations.results[f"{part.name}.{ACOUSTIC.through_variable.symbol}"]
-        mass = keys.fluid.density / (keys.radiator.solid_angle * REFERENCE_DISTANCE)
-        terms = tuple((mass * factor, wave) for factor, wave in flow.terms)
-        sound = {f"{part.name}.{SOUND}": laws.Reading(terms, rate=True)}
+        equations = super().law(part, build)
+        sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})
 
     def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | Neglected]:
@@ -185,6 +192,28 @@ stop = "20 kHz"
             words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
             yield Neglected("size of the baffle", words, "up to 6 dB at low frequencies")
             yield Neglected("shape of the motion", "all points move alike", "not estimated")
+
+
+def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Reading:
+    """Return the far field on the axis at the reference distance, without its travel time.
+
+    The field is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with
+    the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end. The
+    intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times that of a point source
+    of the same power.
+    """
+    keys, name = part.keys, part.name
+    pressure = equations.results[f"{name}.{ACOUSTIC.across.symbol}"].terms
+    if keys.shape == "sphere":
+        share = keys.surface_radius / REFERENCE_DISTANCE
+        return laws.Reading(tuple((share * factor, wave) for factor, wave in pressure))
+    terms = equations.results[f"{name}.{ACOUSTIC.through_variable.symbol}"].terms
+    if keys.shape == "free_piston":
+        fluid, area = keys.fluid, keys.radiator.area * keys.surface_radius**2
+        admittance = area / (fluid.density * fluid.sound_speed)
+        terms += tuple((admittance * factor, wave) for factor, wave in pressure)
+    mass = keys.fluid.density / (keys.radiator.solid_angle * REFERENCE_DISTANCE)
+    return laws.Reading(tuple((mass * factor, wave) for factor, wave in terms), rate=True)
 
 
 register(Radiation())
