@@ -198,9 +198,9 @@ def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Re
     """Return the far field on the axis at the reference distance, without its travel time.
 
     The field is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with
-    the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end. The
-    intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times that of a point source
-    of the same power.
+    the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end.
+    The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times that of a point
+    source of the same power.
     """
     keys, name = part.keys, part.name
     pressure = equations.results[f"{name}.{ACOUSTIC.across.symbol}"].terms
