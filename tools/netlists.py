@@ -198,7 +198,7 @@ def _kind(path: Path) -> str:
 def _line(row: tuple[str, ...], kinds: dict[str, str]) -> str:
     """The libraries of one design as a line of the table."""
     ratings = set(kinds.values())
-    rating = ratings.pop() if len(ratings) == 1 else "its own in each head"
+    rating = ratings.pop() if len(ratings) == 1 else "stated in each header"
     cells = (", ".join(f"`{kind}`" for kind in sorted(kinds)), *row, rating)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 

@@ -299,7 +299,7 @@ class Device(ABC):
         return False
 
     @property
-    def stores_quantities(self) -> bool:
+    def has_stored_quantities(self) -> bool:
         """Whether the device stores quantities that differ from its states."""
         return type(self).store is not Device.store and bool(self.states or self.charged)
 

@@ -60,7 +60,7 @@ def _couples_coils_to_body(laws: SceneLaws) -> bool:
     nonlinear = elastic = False
     for law in laws.laws.values():
         elastic |= isinstance(law, SecondOrderBody)
-        nonlinear |= isinstance(law, Device) and bool(law.stores_quantities) and not law.linear
+        nonlinear |= isinstance(law, Device) and bool(law.has_stored_quantities) and not law.linear
     return nonlinear and elastic
 
 

@@ -127,7 +127,7 @@ class DeclaredLaw(Device):
         return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
-    def stores_quantities(self) -> bool:
+    def has_stored_quantities(self) -> bool:
         return bool(self._through_branches or self.charged)
 
     @cached_property
@@ -146,7 +146,7 @@ class DeclaredLaw(Device):
             slope = replace_kinks(differentiate_tree(tree, name), self._corners)
             if not names(slope).isdisjoint(self._inputs):
                 return False
-        return not self.stores_quantities
+        return not self.has_stored_quantities
 
     @property
     def linear(self) -> bool:

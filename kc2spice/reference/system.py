@@ -360,7 +360,7 @@ class _Assembly:
         for law, taps, into in (*self.attached, *self.linear):
             where = self.states(law)
             small, stores = where - n + size, None
-            if law.stores_quantities:
+            if law.has_stored_quantities:
                 storing = self.stores(law, into)
                 stores = W.T @ storing
                 if not law.linear:
@@ -560,7 +560,7 @@ def _stamp_device(law: L.Device, into: _Assembly) -> None:
     if law.linear:
         _stamp_linear(law, into, inputs, outputs)
         return
-    if not law.stores_quantities:
+    if not law.has_stored_quantities:
         into.M += states.T @ states
     for k in law.charged:
         into.charged += np.outer(through[k], through[k])

@@ -18,7 +18,7 @@ MEANING = {
     "start_first_s": "`kick_and_catch` with an empty cache",
     "loop_cpu_s": "`kick_and_catch` in ngspice, CPU time, fastest setting within the errors",
     "loop_vs_scipy": "fastest general integrator of scipy over ngspice",
-    "loop_vs_scipy_specialised": "integrator of scipy that knows this loop over ngspice",
+    "loop_vs_scipy_specialised": "integrator of scipy specialised for this loop over ngspice",
     "loop_vs_floor": "compiled lower bound over ngspice",
     "impact_low_rank": "impact: full model with one factorisation over ngspice",
     "impact_refactor": "impact: full model with a factorisation in each iteration over ngspice",

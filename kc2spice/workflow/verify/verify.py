@@ -263,7 +263,7 @@ class _Verification:
         result.checks += self._general_checks(solutions, outputs)
         result.notes += self._uncompared_probes(solutions)
         if self.timed:
-            self._compare_finer(waves, solutions, TIME_FACTOR * spent + EXTRA_SECONDS)
+            self._compare_with_finer_laws(waves, solutions, TIME_FACTOR * spent + EXTRA_SECONDS)
         self._add_run_checks()
         if reference.imbalance is not None:
             limit = REPLAY_BALANCE_LIMIT if self.replayed else build.scene.gates.energy
@@ -287,7 +287,7 @@ class _Verification:
         if followed.coarse is not None:
             self._compare_steps(followed.waves, followed.coarse)
 
-    def _compare_finer(
+    def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
         """Compare the laws with laws of a finer discretisation, for parts with an error limit of
