@@ -15,7 +15,7 @@ def segments(law, stop):
         d = law.drive
         rise = d.start + np.array([0.0, d.edge, d.width, d.width + d.edge])
         corners, volts = np.append(corners, rise), np.append(volts, [0.0, d.voltage, d.voltage, 0])
-    enable = law.control.switching[0][0] if law.control is not None else np.inf
+    enable = law.control.switching_times[0][0] if law.control is not None else np.inf
     marks = np.unique(np.concatenate((corners, [enable, stop])))
     marks = marks[marks <= stop].tolist()
     level = np.interp(marks, corners, volts).tolist()

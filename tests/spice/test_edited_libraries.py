@@ -72,7 +72,7 @@ def test_the_balance_detects_undeclared_energy(scene, old, new, tmp_path):
 
 
 def test_a_library_with_other_cards_is_not_checked_and_states_the_reason(tmp_path):
-    old = "voltage besides that of the flux = resistance*i"
+    old = "voltage without that of the flux = resistance*i"
     deck = edited("loudspeaker", tmp_path, "I={1e-6*V(a,b)/", "I={1.1e-6*V(a,b)/")
     with pytest.warns(UserWarning, match="coil: its subcircuit voice_coil has other cards"):
         record = run_scene(kc.load_scene("loudspeaker"), tmp_path / "out", deck=deck)

@@ -93,7 +93,7 @@ MISTAKES = {
     ),
     "no such part to join": (
         _changed('"lower.a"', '"lowr.a"'),
-        9, "upper.pins.b", ["this pin does not exist", "'lowr.a'", "did you mean 'lower'"],
+        9, "upper.pins.b", ["this pin does not exist", "'lowr.a'", "did you mean 'lower.a'"],
     ),
     "no such pin of the other part": (
         _changed('"lower.a"', '"lower.c"'),
