@@ -5,7 +5,7 @@ surface S and the wave number k, a face in an infinite baffle has the far field
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
-On the axis, F is the volume velocity, whatever the shape of the motion. Off the axis, and for the
+On the axis, F is the volume velocity for any shape of the motion. Off the axis, and for the
 radiated power ``int |F|^2 dOmega``, the shape counts; a piston of radius a has
 ``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
 

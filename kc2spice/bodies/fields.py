@@ -1,6 +1,6 @@
 """Stress and electric field in a body under the port waveforms of a run.
 
-A run computes the waveforms of the ports. The body's own motion under these inputs follows from a
+A run computes the waveforms of the ports. The motion of the body under these inputs follows from a
 projection of the full model on a Krylov basis V. The modes of the projected model are integrated
 exactly for inputs that are linear between samples. Thus z = V x is the response of the full model,
 for the waveforms of any simulator.
@@ -100,7 +100,7 @@ def compute_lowest_modes(
     """Compute the lowest modes with shorted electrodes that the ports excite.
 
     The results are at most ``count`` frequencies [Hz] below ``end``, and displacements (n, modes).
-    Motions without stiffness are left out.
+    Motions without stiffness are omitted.
     """
     basis, omega, _ = _compute_modes(device, np.inf)
     selected = np.flatnonzero(

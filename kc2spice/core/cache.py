@@ -83,8 +83,8 @@ def load_or_build(
     sources : modules or packages of kc2spice whose source text the result depends on; the modules
     of ``classes`` are added.
 
-    A directory that cannot be written costs the time of a new build, with a warning, never a
-    failure. If another process is building the same entry, the function waits for this process.
+    If the directory cannot be written, the entry is built again, with a warning and without an
+    error. If another process is building the same entry, the function waits for this process.
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}

@@ -473,8 +473,7 @@ class PortBody(Device):
         """Static relation of loads and displacements.
 
         A scene with a constant load on an unsupported body is rejected. For other unsupported
-        bodies, any finite relation keeps the body in place. The relation used is the response to
-        a growing load.
+        bodies, any finite relation is valid. The relation used is the response to a growing load.
         """
         try:
             H = self.transfer(0.0)

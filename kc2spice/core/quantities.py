@@ -581,9 +581,9 @@ class Notch:
 
     One notch finer multiplies the key by ``factor``. With ``spaces`` the key counts points, and the
     number of spaces between them is multiplied. ``finest`` is a value below which rounding
-    dominates. ``model`` marks a key that costs no time of the simulator. ``mesh`` marks the
-    fineness of a mesh or of rings, whose error the part estimates. The mark applies if the keys
-    ``when`` of its table have these values.
+    dominates. ``model`` marks a key that does not change the time of the simulator. ``mesh`` marks
+    the fineness of a mesh or of rings, whose error the part estimates. The mark applies if the
+    keys ``when`` of its table have these values.
     """
 
     factor: float

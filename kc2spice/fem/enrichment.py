@@ -343,7 +343,7 @@ def _reference_tensor(
     constants: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     radius: np.ndarray,
 ) -> np.ndarray:
-    """Compute second derivatives of the energy by gradients on the reference element.
+    """Compute second derivatives of the energy with respect to gradients on the reference element.
 
     The result is (elements, points, field, m, field, m) with the gradients m of each field. For
     axisymmetric solids the value is last.

@@ -49,7 +49,7 @@ MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # indices of loads and of their fields
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and their growth with distance. The
 # force error is then within 1e-5 of the largest force. The mesh around the parts matters most: an
-# uneven mesh in the far field of the sphere causes a force of the sphere on itself.
+# uneven mesh in the far field of the sphere causes a spurious force on the sphere.
 _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
     1 / 8,
     1 / 8,
@@ -303,7 +303,7 @@ def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Derivative of the stiffness for points that move by g in y."""
+    """Derivative of the stiffness if points move by g in y."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     shear = g_r * r * (u.grad[1] * bv + bu * v.grad[1])
@@ -431,7 +431,7 @@ def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
 def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     """Mesh a box around a sphere at the origin.
 
-    The other result is a mask of the triangles inside the sphere.
+    The second result is a mask of the triangles inside the sphere.
 
     Edges of the sphere's surface are arcs: their mid-nodes lie on the circle.
     """

@@ -258,7 +258,7 @@ class Winding:
     def couple_winding(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
-        With the winding itself, the result is the inductance.
+        For two equal windings, the result is the self-inductance.
 
         The inductance of a sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """

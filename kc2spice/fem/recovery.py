@@ -215,7 +215,7 @@ def _sample_fields(
 def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
     """Number the corners (elements, corners) of pieces of one material.
 
-    The other result are the places of the corners.
+    The second result contains the positions of the corners.
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])

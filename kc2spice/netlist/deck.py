@@ -191,7 +191,7 @@ class Deck:
     unit of the swept key. A deck of the user has a ``text``, its syntax ``tree`` if known, and
     ``more`` included files. ``controlled`` states whether a controller may close a loop, which some
     simulators resolve only with short steps. A ``trusted`` deck runs with a warning if the
-    simulator ignores or replaces something in it. The simulator takes the ``measures`` itself, for
+    simulator ignores or replaces something in it. The simulator evaluates the ``measures``, for
     runs without a raw file.
     """
 

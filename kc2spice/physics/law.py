@@ -173,7 +173,7 @@ class DeclaredLaw(Device):
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Compile ``trees`` and, with ``slopes``, the derivatives of each by all inputs."""
+        """Compile ``trees`` and, with ``slopes``, their derivatives with respect to all inputs."""
         rows = list(trees)
         if slopes:
             rows += starmap(differentiate_tree, product(rows, self._inputs))

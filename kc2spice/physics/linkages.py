@@ -34,7 +34,7 @@ class Linkages:
 
     @cached_property
     def inductances(self) -> tuple[tuple[Tree, ...], ...]:
-        """Second derivatives of the coenergy by the currents [H].
+        """Second derivatives of the coenergy with respect to the currents [H].
 
         Raises
         ------

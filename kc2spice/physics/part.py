@@ -529,7 +529,7 @@ def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np
     """Integrate a rate over each step (nt - 1,) by the rule of simulators.
 
     Simulators use the trapezoidal rule, or the value at the end of a step after a jump. The result
-    is the one that is nearer to ``near`` (nt - 1,).
+    is the value that is nearer to ``near`` (nt - 1,).
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

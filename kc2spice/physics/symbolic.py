@@ -193,7 +193,7 @@ def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
 
 @cache
 def differentiate_tree(tree: Tree, name: str) -> Tree:
-    """Return the exact, simplified derivative of ``tree`` by ``name``."""
+    """Return the exact, simplified derivative of ``tree`` with respect to ``name``."""
     return simplify(_derivative(tree, name))
 
 

@@ -1,8 +1,9 @@
 """Equations of any set of laws, reduced to differential-algebraic equations of index 1.
 
-Raw unknowns are displacements q, velocities v, node voltages, signals and own states. Rigid joints
-and ideal voltage or displacement sources are linear constraints on them. A basis of their null
-space leaves n unknowns z; with the sources s and their rates s' they make ``X = [z, s, s']`` (N,)::
+Raw unknowns are displacements q, velocities v, node voltages, signals and states of devices. Rigid
+joints and ideal voltage or displacement sources are linear constraints on them. A basis of their
+null space leaves n unknowns z; with the sources s and their rates s' they make ``X = [z, s, s']``
+(N,)::
 
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 """

@@ -1,10 +1,10 @@
 """State spaces in other coordinates: decoupled real blocks.
 
-A real pole is one block, and a complex pair is one 2 x 2 block. Repeated poles, and poles so close
-that their separation would cost digits, remain in one larger block, as does a defective pole.
-Source: Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled
-by Sylvester equations of bounded solution. The bound is raised as long as the response keeps its
-accuracy, because a netlist grows with the square of the size of a block.
+A real pole is one block, and a complex pair is one 2 x 2 block. Repeated poles, poles whose
+separation would lose accuracy, and defective poles remain in one larger block. Source: Bavely and
+Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled by Sylvester
+equations of bounded solution. The bound is raised as long as the response keeps its accuracy,
+because a netlist grows with the square of the size of a block.
 """
 
 from __future__ import annotations

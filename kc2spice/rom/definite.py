@@ -36,7 +36,7 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
-    """Return whether the softest mode has no more energy than rounding errors of K.
+    """Return whether the energy of the softest mode is within the rounding errors of K.
 
     The motion is ``y = K^-1 load`` of a random load. Because of such errors, the factor of a free
     body may exist.

@@ -223,7 +223,8 @@ class Samples:
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
-        """Derivatives (n,) of the logarithm of Y by the parameters of each element."""
+        """Derivatives (n,) of the logarithm of Y with respect to the parameters of each
+        element."""
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
@@ -268,7 +269,7 @@ class Samples:
     def fit_amplitudes(self, elements: Elements) -> tuple[Elements, float]:
         """Fit the non-negative amplitudes of elements behind the leads.
 
-        Elements with an amplitude of zero are left out. The other result is the norm of the
+        Elements with an amplitude of zero are left out. The second result is the norm of the
         residual, which is linear in the admittance.
         """
         leads = tuple(e for e in elements if not e.in_parallel)

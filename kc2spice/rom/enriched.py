@@ -1,10 +1,10 @@
 """Errors of reduced models in the time domain, from models with more states.
 
 A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
-frequency counts as an error of 100 %, whatever the loads of a run excite. The recorded loads weight
-the error by their spectrum: the responses of both models to these loads are compared over time. The
-responses are exact for loads that are linear between the points. The model of more states also has
-the motions above the band, which contact excites.
+frequency counts as an error of 100 %, even if the loads of a run do not excite it. The recorded
+loads weight the error by their spectrum: the responses of both models to these loads are compared
+over time. The responses are exact for loads that are linear between the points. The model of more
+states also has the motions above the band, which contact excites.
 """
 
 from __future__ import annotations

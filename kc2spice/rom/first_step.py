@@ -112,8 +112,8 @@ def _build_definite_model(
 ) -> IntermediateModel | None:
     """Build the model of a definite pencil or of a free body; return None for all others.
 
-    With potentials, the search for rigid-body modes costs less than a factor of the stiffness. The
-    search comes first if no factor of K is known.
+    With potentials, the search for rigid-body modes takes less time than a factor of the
+    stiffness. The search comes first if no factor of K is known.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:

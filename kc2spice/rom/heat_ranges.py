@@ -259,8 +259,8 @@ class _Basis:
     The unknowns that are not given are ``psi T_i + W c``, with the static answers ``psi`` at the
     middle of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share
     in the static response of a port, or a difference of static answers to ``psi``. If some terms
-    keep all heat, the rows of ``psi`` sum to one, so that a temperature of the whole body is a
-    vector of ones and zeros in these coordinates.
+    conduct no heat to the ambient, the rows of ``psi`` sum to one, so that a temperature of the
+    whole body is a vector of ones and zeros in these coordinates.
     """
 
     def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:

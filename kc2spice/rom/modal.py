@@ -156,7 +156,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     omega_j^2``.
 
     If damping couples modes, the modes belong to the poles, and ``omega_j`` is the magnitude of a
-    pole. Motions without stiffness are left out. The result is None for a model of first order,
+    pole. Motions without stiffness are omitted. The result is None for a model of first order,
     and for a model with signals as ports.
     """
     result = _modal_data(model)

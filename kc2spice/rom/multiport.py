@@ -366,7 +366,7 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Derivatives (frequencies, entries) by the logarithms of the poles' parts."""
+    """Derivatives (frequencies, entries) with respect to the logarithms of the poles' parts."""
     residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 

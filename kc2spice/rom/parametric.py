@@ -4,9 +4,9 @@ One basis V spans the modes and the static responses of full models at samples o
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of
 Chebyshev polynomials of their logarithms, exact at the samples. The projection keeps definiteness.
 The method tracks no single mode, so modes may cross or repel each other inside the parameter
-ranges. The mesh has to move with the parameters and keep its topology. Parameters that only scale
-the damping are exact and need no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
-(2015) 483, section 4: a global basis.)
+ranges. The mesh must move with the parameters without a change of its topology. Parameters that
+only scale the damping are exact and need no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM
+Review 57 (2015) 483, section 4: a global basis.)
 """
 
 from __future__ import annotations

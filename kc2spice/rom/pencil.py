@@ -313,7 +313,7 @@ class Pencil:
     def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
         """Compute ``P'(s) x``, real if ``P(s)`` is real.
 
-        For an undamped model it is the derivative by ``s^2``.
+        For an undamped model, the result is the derivative with respect to ``s^2``.
         """
         if self.undamped:
             return np.asarray(self.coefficients[2] @ x)

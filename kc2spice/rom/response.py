@@ -46,9 +46,9 @@ class Response:
     The coordinates must be well-conditioned.
 
     ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
-    ``decoupled`` says that T is a real congruence (``L = T'``). An uncoupled free motion is solved
-    separately; ``core`` is then the pencil of the other unknowns, otherwise the whole pencil.
-    ``zero`` (outputs, inputs) are entries known to be zero by symmetry.
+    ``decoupled`` means that T is a real congruence (``L = T'``). An uncoupled free motion is
+    solved separately; ``core`` is then the pencil of the other unknowns, otherwise the whole
+    pencil. ``zero`` (outputs, inputs) are entries known to be zero by symmetry.
     """
 
     def __init__(

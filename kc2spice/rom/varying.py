@@ -239,7 +239,7 @@ def make_resonators(
 ) -> tuple[Varying, float]:
     """Make resonators of ``dense_model`` over its ranges.
 
-    The other result is their largest difference at random values.
+    The second result is their largest difference at random values.
 
     The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
 

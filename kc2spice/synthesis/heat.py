@@ -68,7 +68,7 @@ class HeatModes:
 
 
 def estimate_leak_share(model: LinearModel) -> float:
-    """Return the relative error of temperatures by the leak of a body that keeps all of its heat.
+    """Return the relative error of temperatures due to the leak of a body that loses no heat.
 
     With one port at a given temperature, the leak ``C LEAK_RATE`` takes this share of the heat that
     flows between two ports with the thermal resistance R: ``R C LEAK_RATE``.

@@ -110,7 +110,7 @@ def parametric_subcircuit(
 
     Raises
     ------
-    UsageError : a name that the subcircuit has for itself, or a port of another domain.
+    UsageError : a name that the subcircuit uses internally, or a port of another domain.
 
     Examples
     --------
@@ -163,7 +163,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
 
     Raises
     ------
-    UsageError : a port of another domain, or a name that the subcircuit has for itself.
+    UsageError : a port of another domain, or a name that the subcircuit uses internally.
     """
     domains = {port.domain for port in ports}
     heat = domains == {THERMAL}

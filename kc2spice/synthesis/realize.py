@@ -496,7 +496,7 @@ def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
 
     Raises
     ------
-    UsageError : a name that the subcircuit ``name`` has for itself.
+    UsageError : a name that the subcircuit ``name`` uses internally.
     """
     common = reference_pin(rom.ports)
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
@@ -713,7 +713,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
     Raises
     ------
-    UsageError : a name that the subcircuit ``name`` has for itself.
+    UsageError : a name that the subcircuit ``name`` uses internally.
     """
     paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
     inner = [INNER_NODE_PATTERN]

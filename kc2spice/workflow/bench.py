@@ -2,7 +2,7 @@
 
 The scene runs unchanged, with each single axis (:mod:`kc2spice.scene.axes`) changed, and with all
 axes finer. The search then follows the axes to the cheapest settings within the error limit, and
-within the error of the scene itself.
+within the error of the unchanged scene.
 
 Errors are relative to a reference run with every axis at its finest value. A second, coarser run
 shows how well the reference has converged. A key that the scene sets to its finest value, such as

@@ -207,7 +207,7 @@ class CircuitFit:
         UsageError : the scene of a curve is not valid at the first values.
         """
         values = values_of_part(self.keys)
-        self.residuals(values)  # errors of the scene appear here, with their own words
+        self.residuals(values)  # errors of the scene are printed unchanged here
         start = np.log(np.abs(list(values.values())))
         return least_squares(
             self.deviation, start, self.jacobian, self.bounds,

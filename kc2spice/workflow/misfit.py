@@ -51,7 +51,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     Parameters
     ----------
     J : (2 n, k) array
-        Derivatives of the residuals by the values.
+        Derivatives of the residuals with respect to the values.
     residuals : (2 n,) array Residuals at the end of the fit, real parts of n frequencies before
     imaginary parts.
     widest : (k,) array
@@ -88,7 +88,7 @@ def find_likely_cause(
     Parameters
     ----------
     J : (2 n, k) array
-        Derivatives of the residuals by the values.
+        Derivatives of the residuals with respect to the values.
     residuals : (2 n,) array Residuals at the end of the fit.
     causes : mapping
         For each cause, the most frequent first, the change (n,) of the logarithm of the admittance

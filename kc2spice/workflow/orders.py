@@ -3,9 +3,9 @@
 A run compares each reduced body with a model of more states under the recorded loads (see
 :mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction
 without a further run. The scene runs again with the least order whose error is within the limit,
-or with the order of the smallest error. The error of the new run is evaluated under its own loads.
-The search ends if the error is within the limit, if more states are too many or do not help, or
-after :data:`MAX_RERUNS` runs.
+or with the order of the smallest error. The error of the new run is evaluated under the loads of
+this run. The search ends if the error is within the limit, if more states are too many or do not
+help, or after :data:`MAX_RERUNS` runs.
 """
 
 from __future__ import annotations

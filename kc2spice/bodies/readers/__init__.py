@@ -95,7 +95,7 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
 
     Raises
     ------
-    UsageError : see :func:`read_model`; or a factor that is no expression of the parameters.
+    UsageError : see :func:`read_model`; or a factor is not an expression of the parameters.
 
     Examples
     --------

@@ -50,7 +50,7 @@
 A mechanical port at several nodes is their mean displacement; its force is spread evenly over
 them. A port of kind ``acceleration`` moves the frame of the fixed degrees of freedom: it needs
 only ``axis``. A port of kind ``acoustic`` has a ``column``: the force on each unknown for 1 Pa at
-the port, whose product with the unknowns is the volume by which the body gives way. An
+the port, whose product with the unknowns is the volume that the body displaces. An
 ``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports with ``column``
 of a conservative kind take the same row of C; without ``[[ports]]`` the columns of B and rows of C
 are signals ``u1`` ..., ``y1`` ....

@@ -138,7 +138,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.least_content(scene), *content])
 
     def least_content(self, scene: Scene) -> float:
-        """Least upper end of the band of a transient [Hz], whatever the scene excites."""
+        """Least upper end of the band of a transient [Hz] for any excitation."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:

@@ -195,7 +195,7 @@ def _require_ports(
 
 
 def required_ports(part: Part, scene: JoinedScene) -> set[str]:
-    """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
+    """Ports or pins of ``part`` that other parts, probes, or pins of this part name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, BodyPorts)
     result = set(part.pins)

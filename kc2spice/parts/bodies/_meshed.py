@@ -336,7 +336,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of a body, and for each implausible layer.
 
-        Each layer has its own diameter, or all layers have the width of the body.
+        Each layer has a diameter, or all layers have the width of the body.
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)

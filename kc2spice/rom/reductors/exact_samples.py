@@ -70,7 +70,7 @@ class ExactSamples:
     def model(self) -> tuple[Pencil, float]:
         """Make the oblique projection that best reproduces the samples.
 
-        The other result is its largest error at the samples.
+        The second result is its largest error at the samples.
         """
         W, P = self._left, self.pencil
         U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))

@@ -90,7 +90,7 @@ class OptimalModels(ReducedBasis):
     def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Whether the model of this order is stable and within the tolerance.
 
-        The iteration is skipped if the balanced model of the same order is far from it.
+        The iteration is skipped if the error of the balanced model of the same order is large.
         """
         limit = MAX_START_ERROR * tolerance
         if not self.balanced_models.error(order, limit) <= limit:
