@@ -191,8 +191,8 @@ class Deck:
     unit of the swept key. A deck of the user has a ``text``, its syntax ``tree`` if known, and
     ``more`` included files. ``controlled`` states whether a controller may close a loop, which some
     simulators resolve only with short steps. A ``trusted`` deck runs with a warning if the
-    simulator ignores or replaces something in it. The simulator evaluates the ``measures``, for
-    runs without a raw file.
+    simulator ignores or replaces something in it. Nets that are ``free`` may have only one
+    connection. The simulator evaluates the ``measures``, for runs without a raw file.
     """
 
     name: str
@@ -216,6 +216,7 @@ class Deck:
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True
     trusted: bool = False
+    free: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         """Return a short description of the deck."""

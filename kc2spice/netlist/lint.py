@@ -69,6 +69,7 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
     """Return the wiring mistakes of parsed circuits."""
     signals = frozenset(_list_signal_pins(trees.values()))
     read = _saved_nodes(deck, top)
+    read.setdefault(id(top), set()).update(deck.free)
     problems: list[UsageError] = []
     for item in top.inner_scopes():
         problems += _check_cards(item)

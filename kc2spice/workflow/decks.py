@@ -105,10 +105,18 @@ def make_deck(build: Build) -> Deck:
         initial=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
+        free=frozenset(_list_free_nets(scene)),
         sweep_scale=sweep_scale,
         items=tuple(_list_items(build, loose, analysis.items)),
     )
     return add_noise_sources(deck, NOISE_WAVE, scene.parts) if build.has_noise else deck
+
+
+def _list_free_nets(scene: Scene) -> Iterator[str]:
+    """Yield the nets of pins that need no connection, such as the cone of a loudspeaker."""
+    for key, terminal in scene.terminals.items():
+        if not terminal.required and key in scene.nets:
+            yield scene.nets[key].lower()
 
 
 def _is_controller(part: Part, scene: Scene) -> bool:
