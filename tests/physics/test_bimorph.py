@@ -58,7 +58,8 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     for order in (layers, layers[::-1]):
         model = bimorph_body(bimorph(*order, length="20 mm", width="4 mm")).device().model
         assert model.facts["free_stroke_tip_m_per_v"] > 0
-        assert [p.name for p in model.ports] == ["tip", "base", "anode"]
+        faces = ["front_face", "back_face"]
+        assert [p.name for p in model.ports] == ["tip", *faces, "base", "anode"]
         assert model.ports[-1].terminals == ("anode", "cathode")
 
 
