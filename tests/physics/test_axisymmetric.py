@@ -186,7 +186,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
     assert model.facts["capacitance_free_f"] == approx(capacitance, rel=0.15)  # bolt clamps
     assert {p.name for p in model.ports} == {"anode", "front", "back", "front_face", "back_face"}
     fixed = langevin.langevin_body(keys | {"support": "back"}).device().model
-    assert {p.name for p in fixed.ports} == {"anode", "front"}
+    assert {p.name for p in fixed.ports} == {"anode", "front", "front_face"}
     assert fixed.facts["resonance_short_hz"] < model.facts["resonance_short_hz"]
 
 

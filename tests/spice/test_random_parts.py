@@ -624,6 +624,8 @@ def test_a_scene_of_any_parts_is_right(number, tmp_path):
 # Heat and sound have closed forms and random networks in test_heat.py and test_acoustics.py.
 SHEETS = {"bvd", "crystal", "loudspeaker", "relay"}  # test_datasheet_*.py draws their values
 HEAT = {"heat_body"}  # test_random_heat.py draws its layers, films and pins
+# test_passive_sound.py draws their sizes and fluids
+SOUND = {"radiation", "listener", "cavity", "vent", "tube"}
 ELSEWHERE = {
     f"{domain}_{kind}"
     for domain, kinds in {
@@ -635,7 +637,7 @@ ELSEWHERE = {
 
 
 def test_all_types_of_parts_are_drawn(tmp_path):
-    found, left = set(BODIES) | ELSEWHERE | SHEETS | HEAT, len(DRAWN) * 40
+    found, left = set(BODIES) | ELSEWHERE | SHEETS | HEAT | SOUND, len(DRAWN) * 40
     for number in range(left):
         family, analysis = DRAWN[number % len(DRAWN)]
         if analysis == "transient" and family is not body:  # which builds its model to be drawn
