@@ -396,13 +396,12 @@ dc = "1 W"
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
             return model
-        known = {
-            name: model.facts[name] for name in model.facts if name.startswith(RESISTANCE_PREFIX)
-        }
+        known = [name for name in model.facts if name.startswith(RESISTANCE_PREFIX)]
         if not known:
             return model
-        resistances = static_resistances(model)
-        return replace(model, facts={**model.facts, **{k: resistances[k] for k in known}})
+        resistances = static_resistances(model)  # of the ports that the scene uses
+        exact = {name: resistances[name] for name in known if name in resistances}
+        return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
         """Results of its ports, with the heat flow of ports that one part is joined to."""
