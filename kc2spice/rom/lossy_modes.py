@@ -111,7 +111,7 @@ def assemble_oscillators(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Assemble symmetric K, E, M of oscillators with a viscous ``damping``.
 
-    The damping is (modes, modes).
+    The damping matrix has the shape (modes, modes).
 
     Each relaxation is one more unknown without mass, the displacement between its spring and its
     damper; these unknowns follow the modes.

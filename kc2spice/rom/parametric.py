@@ -1,4 +1,4 @@
-"""Reduction of a model whose matrices depend on parameters, for their ranges.
+"""Reduction of models whose matrices depend on parameters, over the ranges of the parameters.
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of

@@ -122,8 +122,9 @@ def _storage_errors(
 ) -> Iterator[UsageError]:
     """Yield the reason why floating temperatures or pressures have no operating point.
 
-    Without a constant flow they have an operating point: small signals and pulses are stored. The
-    losses of a part count as a constant flow, because they follow from the operating point.
+    Without a constant flow, such nets have an operating point: small signals and pulses are
+    stored. The losses of a part count as a constant flow, because they follow from the operating
+    point.
     """
     kind, domain = scene.analysis.type, result.domain
     losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
@@ -182,7 +183,7 @@ def _units_of_nets(scene: Scene) -> dict[str, str]:
 
 
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
-    """Return nets that pairs of pins join, in groups.
+    """Group nets that are joined by pairs of pins.
 
     Pairs of nets that need no path, such as electrical nets, have no effect.
     """

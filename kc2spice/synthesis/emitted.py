@@ -27,7 +27,7 @@ from kc2spice.synthesis.heat import is_heat_model
 # m per volt of a displacement pin; a charge node has the same value in C
 MICRO = TRANSLATION.across.factor
 LOWEST_FREQUENCY_RATIO = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
-GRID_POINTS = 40  # points of each of two grids, linear and logarithmic
+GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
 POINTS_PER_DECADE = 3  # points of each decade below these grids
 FLANK_HALF_WIDTHS = (0.0, 1.0)  # distance of frequencies from a resonance, in half-widths
 # number of refined neighbourhoods of the largest errors, and frequencies in each

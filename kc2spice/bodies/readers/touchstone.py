@@ -16,7 +16,8 @@ _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
 def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
-    """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
+    """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): The parameters are S, Y or Z in the form
+    RI, MA or DB.
 
     The first option line applies; by the standard, others are ignored.
     """

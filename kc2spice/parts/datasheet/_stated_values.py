@@ -68,7 +68,7 @@ class StatedValues:
         return np.exp(result)
 
     def tolerance_of(self, key: str) -> float:
-        """Tolerance of a value as a difference of logarithms."""
+        """Tolerance of a value, as a difference between logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:

@@ -349,7 +349,7 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
 
 
 def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Equations of one mode for the elements that are not parameters."""
+    """Equations of one mode for the circuit elements that are not parameters of the netlist."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
     result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"
