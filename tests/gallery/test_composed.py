@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import asked
+from commands import run_command
 from kicked import kicked
 
 ROOT = Path(__file__).parents[2]
@@ -22,13 +22,13 @@ TWO_STACKS = ROOT / "docs" / "examples" / "two_stacks.toml"
 )
 def test_a_scene_from_scratch_runs_sweeps_and_verifies(write, swept, metric, tmp_path):
     scene = str(write(tmp_path))
-    run = asked("run", scene, "--out", tmp_path / "run", "--json")
+    run = run_command("run", scene, "--out", tmp_path / "run", "--json")
     assert run["metrics"][metric] > 0
-    sweep = asked("sweep", scene, "--set", swept, "--out", tmp_path / "sweep", "--json")
+    sweep = run_command("sweep", scene, "--set", swept, "--out", tmp_path / "sweep", "--json")
     assert (sweep["points"], sweep["failed"]) == (3, 0)
     rows = np.genfromtxt(tmp_path / sweep["table"], delimiter=",", names=True)
     assert np.ptp(rows[metric]) > 0.05 * rows[metric].max()
-    verified = asked("verify", scene, "--out", tmp_path / "verify", "--json")
+    verified = run_command("verify", scene, "--out", tmp_path / "verify", "--json")
     assert verified["passed"]
     names = [check["name"] for check in verified["checks"]]
     assert any(name.startswith("every wave") for name in names)

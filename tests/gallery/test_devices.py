@@ -11,7 +11,7 @@ import meshio
 import numpy as np
 import published_table
 import pytest
-from commands import asked
+from commands import run_command
 from docs_numbers import different_lines
 from support import Build, find_axes, load_scene, run_scene
 
@@ -248,7 +248,7 @@ def test_slower_drivers_kick_lower(results):
 def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
     shutil.copy(EXAMPLE / "bracket.toml", tmp_path)
     runpy.run_path(str(EXAMPLE / "make_bracket.py"))["draw"](str(tmp_path / "bracket.step"))
-    asked("export", tmp_path / "bracket.toml", "-o", tmp_path / "out")
+    run_command("export", tmp_path / "bracket.toml", "-o", tmp_path / "out")
     (library,) = (tmp_path / "out").glob("*bracket.lib")
     text = library.read_text("utf-8")
     pins = [line.split()[3] for line in text.splitlines() if line.startswith("* @pin")]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import asked
+from commands import run_command
 from support import Curve, Figure, Map, PageSection, Panel, write_page
 
 # A response, a sweep there and back, noise, an impact, a waveform of many cycles.
@@ -105,13 +105,13 @@ def pages(tmp_path_factory):
         if name not in made:
             out = tmp_path_factory.mktemp(name)
             if name in SWEEPS:
-                asked(*DUFFING, *SWEEPS[name], "-o", out, "--json")
+                run_command(*DUFFING, *SWEEPS[name], "-o", out, "--json")
                 made[name] = out / "sweep.html"
             elif name == "verify":
-                asked("verify", "duffing", "-o", out, "--json")
+                run_command("verify", "duffing", "-o", out, "--json")
                 made[name] = out / "verify.html"
             else:
-                asked("run", name, *RUNS[name], "-o", out, "--json")
+                run_command("run", name, *RUNS[name], "-o", out, "--json")
                 made[name] = out / "report.html"
         return made[name]
 

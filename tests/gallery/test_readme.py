@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from commands import asked, python
+from commands import python, run_command
 from support import format_quantity
 
 from bench.page import bench_tables
@@ -37,7 +37,7 @@ def test_python_blocks_run(page, tmp_path):
 
 
 def test_numbers_of_the_main_job_are_those_of_a_run(tmp_path):
-    result = asked("run", "kick_and_catch", "-o", tmp_path / "out", "--json")
+    result = run_command("run", "kick_and_catch", "-o", tmp_path / "out", "--json")
     metrics, chip = result["metrics"], result["model"]["kick"]
     cells = dict(re.findall(r"(?m)^\| ([^|\n]+) \| ([^|\n]+) \|[^|\n]*\|$", RESULTS))
     stroke = 1e6 * chip["free_stroke_ring0_m_per_100v"]

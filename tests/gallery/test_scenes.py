@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from commands import asked
+from commands import run_command
 from support import list_gallery, load_scene
 
 CONTRACT = {
@@ -23,7 +23,7 @@ def results(tmp_path_factory):
     def result(name):
         if name not in found:
             out = tmp_path_factory.mktemp(name)
-            found[name] = asked("run", name, "-o", out, "--json"), out
+            found[name] = run_command("run", name, "-o", out, "--json"), out
         return found[name]
 
     return result
@@ -92,7 +92,7 @@ def test_an_emitted_deck_runs_without_changes(results, tmp_path):
 def test_changed_gain_takes_the_models_from_the_cache(results, tmp_path):
     results("kick_and_catch")
     more = ("--set", "control.kp=4.5e4", "-o", tmp_path, "--json")
-    result = asked("run", "kick_and_catch", *more)
+    result = run_command("run", "kick_and_catch", *more)
     spent = result["wall_s"]
     assert [spent[k] for k in ("mesh", "assemble", "reduce", "magnetics")] == [0, 0, 0, 0]
     assert result["metrics"]["caught"] is True
@@ -102,7 +102,7 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
     """On a third of the layers; one gate is below rounding, where no solution path can meet it."""
     words = ("kick.layers=12", "imprint.steps=60", "gates.imprint_ngspice=1e-15")
     changes = [part for word in words for part in ("--set", word)]
-    asked("verify", "imprint", "-o", tmp_path, "-q", *changes, code=4)
+    run_command("verify", "imprint", "-o", tmp_path, "-q", *changes, code=4)
     found = json.loads((tmp_path / "verify.json").read_text())["scenes"]["imprint"]
     assert found["passed"] is False
     missed = {check["name"] for check in found["checks"] if not check["passed"]}
@@ -121,7 +121,7 @@ QUICK = {"harvester": ("--set", "analysis.points=3")}
     [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in sorted(list_gallery())],
 )
 def test_scene_meets_its_gates(name, tmp_path):
-    asked(
+    run_command(
         "verify", name, "-o", tmp_path, "-q", *QUICK.get(name, ())
     )  # exit code 4 where one is missed
 

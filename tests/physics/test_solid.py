@@ -47,7 +47,7 @@ def end(solid, axis, value):
     return solid.mesh.facets_satisfying(lambda x: np.abs(x[axis] - value) < 1e-9)
 
 
-def held(solid, *pairs):
+def make_fixed_mask(solid, *pairs):
     """Mask with the displacements of nodes fixed along axes."""
     mask = np.zeros((places(solid).shape[1], solid.components), bool)
     for nodes, axes in pairs:
@@ -98,7 +98,7 @@ def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
         spread_force(compute_node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
     )
     base = Port("base", "acceleration")
-    fixed = held(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
+    fixed = make_fixed_mask(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
     model = make_device(
         solid, Setup(fixed, shapes=[tip], base=[(base, np.eye(3)[2])], damping=UNDAMPED)
     ).model
@@ -115,7 +115,9 @@ def test_free_rod_poled_along_its_length_has_the_resonances_of_k33():
     L, w = 20e-3, 1e-3
     solid = box((w, w, L), (1, 1, 24), PZT)
     model = make_device(solid, Setup(
-        held(solid), {"anode": plane(solid, 2, L), "cathode": plane(solid, 2, 0.0)}, "cathode",
+        make_fixed_mask(solid),
+        {"anode": plane(solid, 2, L), "cathode": plane(solid, 2, 0.0)},
+        "cathode",
     )).model  # fmt: skip
     s33, d33, eps = np.linalg.inv(PZT.C)[2, 2], PZT.d[2, 2], PZT.eps_T[2, 2]
     k2 = d33**2 / (s33 * eps)
@@ -147,7 +149,7 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         )
         pull = ForceShape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
         squeeze = ForceShape(Port("push", "mechanical"), far)
-        fixed = held(solid, *sides)
+        fixed = make_fixed_mask(solid, *sides)
         model = make_device(
             solid, Setup(fixed, shapes=[squeeze, pull], damping=Damping(ratio=0, at=1e5))
         ).model

@@ -47,7 +47,7 @@ def session(leader):
     return found
 
 
-def asked(*words, code=0):
+def run_command(*words, code=0):
     """Output of a command in this process: the record with ``--json``, otherwise all text."""
     done = CliRunner().invoke(app, list(map(str, words)))
     assert done.exit_code == code, done.output

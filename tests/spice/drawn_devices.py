@@ -37,7 +37,7 @@ def by(d, rate, start, corners, read, pushed=None, **how):
 # --- energies ------------------------------------------------------------------------------------
 
 
-def moved(d, device, mass, stiffness, loss, size, pin="a", wave="x"):
+def add_oscillator(d, device, mass, stiffness, loss, size, pin="a", wave="x"):
     """A mass, a spring that may stiffen or soften, and a damper on a pin of a device."""
     pins, cubic = {"a": f"{device}.{pin}"}, 0.0
     d.part("mass", mass=mass, pins=pins)
@@ -99,7 +99,7 @@ def electrostatic(d):
         def farad(x):
             return EPSILON * area / (gap - x), EPSILON * area / (gap - x) ** 2
 
-    spring = moved(d, one, mass, k, loss, reach, *own)
+    spring = add_oscillator(d, one, mass, k, loss, reach, *own)
     ohm = d.value(0.01, 1) / w / farad(0.0)[0]
     behind = ohm < 1e8 and d.rng.random() < 0.7
     pin = f"{source}.out"
@@ -144,7 +144,7 @@ def voice(d):
     source = d.part("source", **keys)
     one = d.part("voice_coil", resistance=ohm, inductance=henry, bl=bl, cms=give, damping=loss,
                  **shape, pins={"plus": f"{source}.out"})  # fmt: skip
-    spring = moved(d, one, mass, mass * w**2 * d.value(0.01, 1), 0.3 * loss, far)
+    spring = add_oscillator(d, one, mass, mass * w**2 * d.value(0.01, 1), 0.3 * loss, far)
     d.compared[f"{one}.i"] = 2
     amp = far / give / bl
 
@@ -178,7 +178,7 @@ def pulled(d):
     stopping = struck(d, shape)
     one = d.part("reluctance", magnet=magnet, turns=turns, resistance=ohm, **shape,
                  pins={"plus": f"{source}.out"})  # fmt: skip
-    spring = moved(d, one, mass, k, loss, travel)
+    spring = add_oscillator(d, one, mass, k, loss, travel)
     d.compared[f"{one}.i"] = 2
 
     def reluctance(x):
@@ -381,7 +381,7 @@ def shaken(d):
     box = {"inner": inner, "radius": outer, "thickness": tall, "y_min": -reach, "y_max": reach}
     one = d.part("moving_magnet", remanence=remanence, mu_r=recoil, **box, **magnet,
                  coils=tables, pins=pins)  # fmt: skip
-    spring = moved(d, one, mass, k, loss, reach, wave="y")
+    spring = add_oscillator(d, one, mass, k, loss, reach, wave="y")
     d.compared |= {f"{one}.i_c{n}": n + 1 for n in range(len(coils))}
     size = np.array([reach, reach * w, *(amp * np.diag(L))])
 

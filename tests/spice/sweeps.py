@@ -4,7 +4,7 @@ import csv
 import sys
 from pathlib import Path
 
-from commands import asked
+from commands import run_command
 
 # A capacitor charged over a resistor: after the time t it has 1 - exp(-t / RC) of the voltage.
 CIRCUIT = """
@@ -44,7 +44,7 @@ def sweep(scene, *sets, out, more=(), code=0):
     """The summary of the command, or what it says where it is to fail."""
     workers = () if "--workers" in more else ("--workers", "1")
     words = command(scene, *sets, out=out, more=("--json", "--quiet", *workers, *more))
-    return asked(*words[3:], code=code)
+    return run_command(*words[3:], code=code)
 
 
 def rows(summary):

@@ -5,7 +5,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from commands import asked
+from commands import run_command
 
 NODES = 4
 K = 1e4 * (2 * np.eye(NODES) - np.eye(NODES, k=1) - np.eye(NODES, k=-1))  # N/m
@@ -35,7 +35,7 @@ def chain(tmp_path, monkeypatch):
     (tmp_path / "chain.toml").write_text("band = [0, 2e3]\n" + "".join(tables))
     (tmp_path / "pushed.toml").write_text(SCENE)
 
-    return lambda *words: " ".join(asked(*words).split())
+    return lambda *words: " ".join(run_command(*words).split())
 
 
 def pins(library):
@@ -82,7 +82,7 @@ def test_the_exported_deck_is_verified_with_its_ports(chain, tmp_path):
     chain("verify", "pushed.toml", "--deck", "out/pushed.cir", "-o", "verified", "-q")
     deck, library = tmp_path / "out" / "pushed.cir", tmp_path / "out" / "pushed_chain.lib"
     deck.write_text(deck.read_text().replace(".include pushed_chain.lib", library.read_text()))
-    said = asked("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
+    said = run_command("verify", "pushed.toml", "--deck", str(deck), "-o", "inline", "-q", code=2)
     assert "no subcircuit of this part" in said  # what stands beside it is not taken for it
 
 
@@ -90,7 +90,7 @@ def test_a_scene_with_only_a_chip_exports_all_rings(tmp_path):
     mesh = "mesh = { sectors = 4, rings = 2, ring_spacing = 3e-4, outer_rings = 2 }"
     path = tmp_path / "alone.toml"
     path.write_text(f'[kick]\nlayers = 3\nelectrical = "open"\n{mesh}\n')
-    asked("export", path, "-o", tmp_path / "out", "-q")
+    run_command("export", path, "-o", tmp_path / "out", "-q")
     head = re.findall(r"(?m)^\* @pin \d+ (\S+)", (tmp_path / "out" / "alone_kick.lib").read_text())
     assert head == ["anode", "cathode", "ring0", "ring1", "ring2", "base"]
-    assert "3 rings as ports" in asked("explain", path)
+    assert "3 rings as ports" in run_command("explain", path)

@@ -672,7 +672,7 @@ def campaign(draw):
     print(json.dumps(count))
 
 
-def told(number):
+def describe_outcome(number):
     """The word for a draw, and its line, with its scene where that is off."""
     with tempfile.TemporaryDirectory() as folder:
         family, word, worst = compared(number, Path(folder))
@@ -685,4 +685,4 @@ def told(number):
 
 
 if __name__ == "__main__":
-    campaign(told)
+    campaign(describe_outcome)

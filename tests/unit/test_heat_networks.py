@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from commands import asked
+from commands import run_command
 from support import FosterNetwork, HeatLadder, NodalCircuit, heat_ladder, literal_value, read_rom
 
 import kc2spice as kc
@@ -106,8 +106,8 @@ def heated_bar(path, ports=1):
 def test_reduce_writes_a_model_of_matrices_as_a_ladder(tmp_path):
     heated_bar(tmp_path / "bar.npz")
     words = ("reduce", tmp_path / "bar.npz", "--json", "--tolerance", "1e-3")
-    plain = asked(*words, "--out", tmp_path / "plain")
-    shaped = asked(*words, "--network", "cauer", "--out", tmp_path / "shaped")
+    plain = run_command(*words, "--out", tmp_path / "plain")
+    shaped = run_command(*words, "--network", "cauer", "--out", tmp_path / "shaped")
     first, second = read_rom(plain["rom"]), read_rom(shaped["rom"])
     assert heat_ladder(second) is not None
     f = np.geomspace(1e-3, 10, 20)

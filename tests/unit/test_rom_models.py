@@ -41,7 +41,7 @@ def spread(n, seed=3):
     return rng(seed).standard_normal((n, n)) + 3 * n * np.eye(n)
 
 
-def held(n, seed=3):
+def symmetric_matrix(n, seed=3):
     return spread(n, seed) + spread(n, seed).T
 
 
@@ -86,9 +86,13 @@ def test_incomplete_models_are_refused(parts, says):
 def test_free_potentials_are_eliminated_exactly(potentials, damping):
     """Against the dense solution of all three equations; two electrodes between two forces."""
     n, m, e = 4, potentials, 2
-    K, M, E = held(n), held(n, 4), 0.1 * held(n, 6)
-    up, pp = rng(1).standard_normal((n, m)), held(m, 7) if m else np.zeros((0, 0))
-    uV, pV, VV = rng(2).standard_normal((n, e)), rng(3).standard_normal((m, e)), held(e, 8)
+    K, M, E = symmetric_matrix(n), symmetric_matrix(n, 4), 0.1 * symmetric_matrix(n, 6)
+    up, pp = rng(1).standard_normal((n, m)), symmetric_matrix(m, 7) if m else np.zeros((0, 0))
+    uV, pV, VV = (
+        rng(2).standard_normal((n, e)),
+        rng(3).standard_normal((m, e)),
+        symmetric_matrix(e, 8),
+    )
     B = rng(4).standard_normal((n, 2))
     kinds = ("mechanical", "electrical", "mechanical", "electrical")
     ports = tuple(Port(f"p{k}", kind) for k, kind in enumerate(kinds))

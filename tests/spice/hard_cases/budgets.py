@@ -295,7 +295,7 @@ def _compared(family, tables, judge):
     return Budgeted(family, why, budget, np.nan, np.nan, "", 0, tables)
 
 
-def told(number):
+def describe_outcome(number):
     """The outcome of a draw, and its line, with its scene where that is neither held nor said."""
     line = asdict(judged(number))
     if line["outcome"] in ("holds", "said"):
@@ -304,4 +304,4 @@ def told(number):
 
 
 if __name__ == "__main__":
-    campaign(told)
+    campaign(describe_outcome)

@@ -179,7 +179,7 @@ def confirmed(word, chosen, run):
     return {"launch": launch, "height": float(height), "until_s": float(t[-1]), "left": left}
 
 
-def told(number):
+def describe_outcome(number):
     """The word for a draw, and its line."""
     with tempfile.TemporaryDirectory() as folder:
         word, chosen, run = outcome(number, Path(folder))
@@ -195,4 +195,4 @@ def told(number):
 
 
 if __name__ == "__main__":
-    campaign(told)
+    campaign(describe_outcome)
