@@ -15,8 +15,8 @@ EXAMPLES = [
 
 
 # Of what they show other tests are quick.
-SLOW = ("edited_deck", "error_budget", "fit", "impedance", "own_driver", "own_part", "parameters",
-        "pyspice_parts", "python_controller", "sweep", "tune")  # fmt: skip
+SLOW = ("edited_deck", "error_budget", "fit", "impedance", "mountings", "own_driver", "own_part",
+        "parameters", "pyspice_parts", "python_controller", "sweep", "tune")  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,11 @@ from support import disc
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))
-BUZZERS = [name for name, entry in PUBLISHED.items() if "capacitance_f" in entry]
+BUZZERS = [
+    name
+    for name, entry in PUBLISHED.items()
+    if name.startswith("buzzer_") and "capacitance_f" in entry
+]
 
 
 def keys_of(name):

@@ -1,0 +1,56 @@
+"""Mountings: sound pressure levels of eleven buzzer discs, free, on two rings and in a housing."""
+
+import copy
+import math
+import warnings
+
+import kc2spice as kc
+
+DISCS = [f"buzzer_7bb_{size}" for size in ("12_9", "15_6", "20_3", "20_6", "27_4", "35_3")]
+DISCS += [f"buzzer_ft_{size}" for size in ("15t_5_5a1", "20t_6_5a1", "27t_4_3a1", "35t_1_8a1")]
+DISCS += ["buzzer_ft_39t_2_5b1"]
+SOUND_SPEED, HOLE_LENGTH, RIM = 343.2, 1e-3, "simply_supported"
+LEVEL, FREQUENCY = "peak_level_db", "peak_level_frequency_hz"
+
+
+def in_housing(scene, resonance):
+    """A cavity in front of the disc and a hole, tuned to the resonance of the disc on its rim."""
+    tables = copy.deepcopy(dict(scene.tables))
+    radius = 0.15 * scene.part("front").keys.surface_radius
+    area, length = math.pi * radius**2, HOLE_LENGTH + 1.7 * radius
+    volume = area / length * (SOUND_SPEED / (2 * math.pi * resonance)) ** 2
+    tables["chamber"] = {"part": "cavity", "volume": volume}
+    tables["hole"] = {
+        "part": "vent", "radius": radius, "length": HOLE_LENGTH, "end_b": "none",
+        "pins": {"a": "chamber.a", "b": "front.face"},
+    }  # fmt: skip
+    tables["front"] = {"part": "radiation", "radius": radius}
+    tables["disc"]["pins"]["front_face"] = "chamber.a"
+    tables["disc"]["support"] = RIM
+    tables["rom"] = {"tolerance": 1e-3, "band": [0.2 * resonance, 3 * resonance]}
+    tables["analysis"] |= {"start": 0.4 * resonance, "stop": 1.4 * resonance}
+    return tables
+
+
+def without_baffle(result):
+    """Change of the level [dB] without a baffle, from the assumptions of the run."""
+    rows = {row["effect"]: row["error"] for row in result.record["plan"]["left_out"]}
+    words = rows.get("disc: baffle of front_face", "unknown").split()
+    return f"{words[1]:>5}" if words[0] == "about" else "    -"
+
+
+warnings.simplefilter("ignore")  # no disc moves like a piston
+print("level in dB at 100 mm and 1 V amplitude, frequency in kHz, change of the level in dB")
+print("                     free            no baffle  on its rim    in a housing  error")
+for name in DISCS:
+    scene = kc.load_scene(name)
+    free = kc.run(scene)
+    rim = kc.run(scene, overrides={"disc.support": RIM})
+    housed = kc.run(in_housing(scene, rim.metrics[FREQUENCY]))
+    row = [
+        f"{r.metrics[LEVEL]:5.1f} {1e-3 * r.metrics[FREQUENCY]:6.3f}" for r in (free, rim, housed)
+    ]
+    assert rim.metrics[FREQUENCY] < free.metrics[FREQUENCY]
+    assert 60 < housed.metrics[LEVEL] < 110
+    error = max(free.metrics["level_error_db"], rim.metrics["level_error_db"])
+    print(f"{name:20} {row[0]}   {without_baffle(free)}      {row[1]}  {row[2]}  {error:.0f}")
