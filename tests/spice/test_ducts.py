@@ -63,10 +63,12 @@ def impedance(scene):
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_tube_is_a_lossy_line(radius, closed):
     """Narrow tubes are those of Crandall, wide ones have thin boundary layers."""
-    tube = {"part": "tube", "length": 0.1, "radius": radius, "closed": closed, "sections": 24}
+    sections = 24 if radius < 5e-3 else 60  # resonances of wide tubes are narrow
+    tube = {"part": "tube", "length": 0.1, "radius": radius, "closed": closed}
+    tube["sections"] = sections
     omega, z = impedance(driven(30.0, 2e3, tube=tube))
     exact = line(omega, radius, 0.1, None if closed else 0.0)
-    # phase errors of 24 sections are (k l / 24)^2 / 24 and shift narrow resonances
+    # phase errors are (k l / sections)^2 / 24
     assert np.abs(z / exact - 1).max() < 0.08
     assert np.median(np.abs(z / exact - 1)) < 0.02
     # what dissipates, where no resonance amplifies the error of the phase

@@ -71,26 +71,34 @@ def network_of(scene):
 def nodal_admittance(elements, ports, s):
     """Admittance matrix at the ports relative to the ambient pressure, at a complex frequency.
 
-    Its rounding errors are relative to the second result, the sum of the elements at each port.
+    Extended precision, because the elimination of inner nodes of nearly lossless ducts loses ten
+    digits.
     """
     nodes = dict.fromkeys(node for _, a, b, _ in elements for node in (a, b))
-    order = [*ports, *(node for node in nodes if node not in (*ports, "ambient"))]
-    at = {node: k for k, node in enumerate(order)}
-    Y = np.zeros((len(order),) * 2, complex)
+    order = [*(node for node in nodes if node not in (*ports, "ambient")), *ports]
+    at, s = {node: k for k, node in enumerate(order)}, np.clongdouble(s)
+    Y = np.zeros((len(order),) * 2, np.clongdouble)
     for name, a, b, value in elements:
-        y = {"R": 1 / value, "L": 1 / (s * value), "C": s * value}[name[0]]
+        y = {"R": 1 / np.clongdouble(value), "L": 1 / (s * value), "C": s * value}[name[0]]
         for one, other in ((a, b), (b, a)):
             if one in at:
                 Y[at[one], at[one]] += y
                 if other in at:
                     Y[at[one], at[other]] -= y
-    scale = 1 / np.sqrt(np.abs(np.diag(Y)))
-    Y = scale[:, None] * Y * scale
     n = len(ports)
-    reduced = Y[:n, :n]
-    if len(order) > n:
-        reduced = reduced - Y[:n, n:] @ np.linalg.solve(Y[n:, n:], Y[n:, :n])
-    return reduced / np.outer(scale[:n], scale[:n]), 1 / scale[:n] ** 2
+    for k in range(len(order) - n):
+        Y[k + 1 :, k + 1 :] -= np.outer(Y[k + 1 :, k], Y[k, k + 1 :]) / Y[k, k]
+    return Y[-n:, -n:]
+
+
+def least_power(Y):
+    """Lowest eigenvalue of the Hermitian part, relative to the largest entry of the matrix."""
+    H = (Y + Y.conj().T) / (2 * np.abs(Y).max())
+    if len(H) == 1:
+        return H[0, 0].real
+    first, last, coupling = H[0, 0].real, H[1, 1].real, np.abs(H[0, 1])
+    root = np.hypot((first - last) / 2, coupling)
+    return (first * last - coupling**2) / ((first + last) / 2 + root)
 
 
 def exact_admittance(scene, omega):
@@ -125,17 +133,15 @@ def series_impedance(scene, omega):
 
 
 def check_positive_real(scene, rng):
-    """The admittance has no negative power in the right half-plane and on its border."""
+    """The admittance has no negative power in the right half-plane, up to its border."""
     elements, ports = network_of(scene)
     assert all(np.isfinite(value) and value > 0 for *_, value in elements)
     top = 2 * np.pi * scene["analysis"]["stop"]
     for _ in range(4):
-        angle = rng.choice([np.pi / 2, rng.uniform(0, np.pi / 2)])
+        # beside the imaginary axis, where the resonances of nearly lossless ducts are singular
+        angle = rng.choice([np.pi / 2 - 1e-5, rng.uniform(0, np.pi / 2)])
         s = top * 10 ** rng.uniform(-4, 1) * np.exp(1j * angle)
-        Y, sums = nodal_admittance(elements, ports, s)
-        size = np.sqrt(sums)
-        power = np.linalg.eigvalsh((Y + Y.conj().T) / (2 * np.outer(size, size)))
-        assert power.min() > -1e-9, (scene, s)
+        assert least_power(nodal_admittance(elements, ports, s)) > -1e-9, (scene, s)
 
 
 def check_errors(scene, rng):
@@ -145,12 +151,12 @@ def check_errors(scene, rng):
     elements, ports = network_of(scene)
     exact = exact_admittance(scene, omega)
     if exact is not None:
-        ours = nodal_admittance(elements, ports, 1j * omega)[0][0, 0]
+        ours = nodal_admittance(elements, ports, 1j * omega)[0, 0]
         assert abs(ours / exact - 1) < 0.012
     if scene["drawn"]["part"] == "vent":
         series = [item for item in elements if item[0][1] == "s"]
         ends = [series[0][1], series[-1][2]]
-        Y, _ = nodal_admittance([*series, ("Rrest", "ambient", ends[0], 1e300)], ends, 1j * omega)
+        Y = nodal_admittance([*series, ("Rrest", "ambient", ends[0], 1e300)], ends, 1j * omega)
         assert abs(-1 / Y[0, 1] / series_impedance(scene, omega) - 1) < 0.012
 
 
@@ -169,8 +175,8 @@ def test_a_negative_element_would_be_found():
     (name, a, b, value), *others = elements
     assert name[0] == "R"
     top = 2j * np.pi * scene["analysis"]["stop"]
-    assert nodal_admittance(elements, ports, top)[0].real.min() > 0
-    assert nodal_admittance([(name, a, b, -value), *others], ports, top)[0].real.min() < 0
+    assert nodal_admittance(elements, ports, top).real.min() > 0
+    assert nodal_admittance([(name, a, b, -value), *others], ports, top).real.min() < 0
 
 
 def test_the_power_at_a_face_reaches_the_far_field_or_heats_the_duct():
