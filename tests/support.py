@@ -231,7 +231,7 @@ NAMES_BY_MODULE = {
     "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
     "kc2spice.sim.output": "classify_log list_alterations read_raw",
     "kc2spice.sim.shared": "run_shared",
-    "kc2spice.synthesis": "parameter_ranges realize",
+    "kc2spice.synthesis": "parameter_ranges terminals",
     "kc2spice.synthesis.emitted": "estimate_circuit_error require_circuit",
     "kc2spice.synthesis.header": "part_header rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",

@@ -3,7 +3,7 @@
 The mode ``m z'' + d z' + w^2 z = sum_k g_k u_k`` loses the power ``d z'^2`` [W]. A netlist of modes
 has ``z'`` as a voltage if the mode has inertia. Otherwise ``z' = (sum_k g_k u_k - w^2 z) / d``.
 These relaxations include the dielectric loss of :func:`kc2spice.rom.modal.add_dielectric_loss`.
-Input are the modes of :mod:`kc2spice.synthesis.realize`, output are sources of heat flow.
+Input are the modes of :mod:`kc2spice.synthesis.mode_cards`, output are sources of heat flow.
 """
 
 from __future__ import annotations

@@ -26,6 +26,14 @@ from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_comment
+from kc2spice.synthesis.mode_cards import (
+    RINGING_WEIGHTS,
+    StepWeights,
+    describe_branch,
+    describe_mode,
+    drive_mode,
+    scale_modes,
+)
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
     list_parameters,
@@ -35,21 +43,13 @@ from kc2spice.synthesis.parameter_ranges import (
     sample_range,
 )
 from kc2spice.synthesis.parametric_heat import RESERVED_BY_HEAT, heat_subcircuit_over_ranges
-from kc2spice.synthesis.realize import (
-    DAMPING_PARAMETER,
-    RINGING_WEIGHTS,
-    UNRATED,
+from kc2spice.synthesis.realize import DAMPING_PARAMETER, UNRATED, make_subcircuit
+from kc2spice.synthesis.terminals import (
     PortTerminal,
-    StepWeights,
     Transconductance,
     connect_sources,
-    describe_branch,
-    describe_mode,
-    drive_mode,
-    make_subcircuit,
     model_terminals,
     port_lines,
-    scale_modes,
     subcircuit_pins,
 )
 

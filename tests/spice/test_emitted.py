@@ -22,7 +22,7 @@ from support import (
     parametric_subcircuit,
     polynomials,
     read_cards,
-    realize,
+    terminals,
     require_circuit,
     run_deck,
     subcircuit,
@@ -95,7 +95,7 @@ def test_the_error_of_an_element_is_detected_at_a_resonance():
 
 
 def test_the_head_states_the_error_of_the_elements(monkeypatch):
-    monkeypatch.setattr(realize, "LEAK_RATE", 1e-3)
+    monkeypatch.setattr(terminals, "LEAK_RATE", 1e-3)
     part = subcircuit(sensor(), "sensor")
     leaked = 1e-3 / (2 * np.pi * BAND[0])
     assert part.reduction.error_estimate == pytest.approx(1e-6 + leaked, rel=1e-3)
@@ -175,7 +175,7 @@ def test_reduce_and_export_end_with_4_where_the_circuit_misses_the_tolerance(mon
         '[v]\npart = "source"\nac = "1 V"\n'
         '[analysis]\ntype = "ac"\nstart = "1 Hz"\nstop = "8 kHz"\npoints = 20\n'
     )
-    monkeypatch.setattr(realize, "LEAK_RATE", 0.1)
+    monkeypatch.setattr(terminals, "LEAK_RATE", 0.1)
     for command in (words, ["export", str(scene)]):
         missed = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "missed")])
         assert missed.exit_code == 4, missed.output

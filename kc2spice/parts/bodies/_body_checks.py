@@ -31,7 +31,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.scene.parttype import compute_pin_forces
-from kc2spice.synthesis.realize import COARSE_WEIGHTS
+from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"

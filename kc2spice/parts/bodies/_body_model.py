@@ -38,11 +38,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.rom.parametric import Loss, ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.varying import Varying
-from kc2spice.scene.model import (
-    GovernedScene,
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import GovernedScene, Part, Scene
 from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.settings import Rom
 

@@ -19,23 +19,13 @@ from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.pencil import first_order
-from kc2spice.scene.model import (
-    Build,
-    DeclaredScene,
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import Build, DeclaredScene, Part, Scene
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.heat_sources import METER
-from kc2spice.synthesis.realize import (
-    COARSE_WEIGHTS,
-    RINGING_WEIGHTS,
-    UNRATED,
-    StepWeights,
-    subcircuit,
-)
+from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, RINGING_WEIGHTS, StepWeights
+from kc2spice.synthesis.realize import UNRATED, subcircuit
 
 RATING_TEXT = (
     "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"

@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.rows import Rest
-from kc2spice.synthesis.realize import reference_pin
+from kc2spice.synthesis.terminals import reference_pin
 
 # Kinds of ports with one pin against the common reference, and their domains.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}

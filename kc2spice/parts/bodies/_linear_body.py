@@ -34,14 +34,10 @@ from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import (
-    Build,
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
-from kc2spice.synthesis.realize import COARSE_WEIGHTS
+from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 # negative part of an impedance that exceeds rounding errors of a lossless body
 MAX_ACTIVE_SHARE = 1e-3

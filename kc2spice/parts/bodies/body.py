@@ -63,13 +63,7 @@ from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
 from kc2spice.parts.bodies._pictures import draw_edges
 from kc2spice.rom.linear_model import Port
-from kc2spice.scene.model import (
-    Build,
-    DeclaredScene,
-    GovernedScene,
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 

@@ -48,13 +48,7 @@ from kc2spice.bodies.heat_model import (
     static_resistances,
 )
 from kc2spice.core.domains import THERMAL
-from kc2spice.core.errors import (
-    SimulationError,
-    UsageError,
-    name_part_in_errors,
-    unknown,
-    wrong,
-)
+from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock

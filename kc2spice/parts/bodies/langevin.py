@@ -16,14 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import (
-    BACK_FACE,
-    FRONT_FACE,
-    Block,
-    BondedBlocks,
-    Box,
-    RadiatingFace,
-)
+from kc2spice.bodies.device import BACK_FACE, FRONT_FACE, Block, BondedBlocks, Box, RadiatingFace
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import (
     Count,
@@ -40,10 +33,7 @@ from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.parts.bodies._neglected import NOT_ESTIMATED_TEXT
-from kc2spice.scene.model import (
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 

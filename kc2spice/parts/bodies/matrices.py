@@ -20,12 +20,7 @@ from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.scene.model import (
-    DeclaredScene,
-    GovernedScene,
-    Part,
-    Scene,
-)
+from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 

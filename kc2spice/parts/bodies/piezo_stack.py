@@ -42,7 +42,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
-from kc2spice.synthesis.realize import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
+from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
 # Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:

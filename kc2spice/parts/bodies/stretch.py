@@ -26,10 +26,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
 from kc2spice.parts.electrostatics.gap import PatchedPart, patch_ports
 from kc2spice.physics import Declaration, displacement
-from kc2spice.scene.model import (
-    GovernedScene,
-    Part,
-)
+from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
 

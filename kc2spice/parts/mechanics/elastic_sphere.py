@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Rom
-from kc2spice.synthesis.realize import COARSE_WEIGHTS, StepWeights
+from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere

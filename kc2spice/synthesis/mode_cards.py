@@ -1,0 +1,318 @@
+"""Cards of decoupled resonators, and of the losses in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
+from kc2spice.core.prefix import PREFIXES, prefix_power
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.elements import Line
+from kc2spice.netlist.prefixes import abbreviate
+from kc2spice.netlist.spelling import format_number
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.modal import Resonators
+from kc2spice.synthesis.emitted import MICRO
+from kc2spice.synthesis.heat_sources import meter_cards, moving_loss_card, relaxing_loss_card
+from kc2spice.synthesis.terminals import (
+    OUTWARDS_COMMENT,
+    OutputLaws,
+    PortTerminal,
+    StateNodes,
+    Transconductance,
+    Value,
+    connect_sources,
+    has_other_reference,
+    port_domains,
+    port_lines,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+# F, of a state of a fast mode; one chgtol then corresponds to one tolerance of displacement
+STATE_CAPACITANCE = 1e-6
+STATE_CONDUCTANCE = 1.0  # S, of a massless mode; its capacitance is its relaxation time
+EQUAL_GAIN = 1e-6  # relative difference of the gains of ports that count as equal
+# Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) does not choose
+# diagonal pivots at an operating point in q and q'/w. It then has 80 times as many fill-ins for 178
+# modes and is 100 times slower (tests/spice/test_realize.py counts them).
+LIGHT_DAMPING = 1e-3
+NEGLIGIBLE_GAIN = 1e-9  # share of a mode at every port, relative to the largest, that is negligible
+
+
+@dataclass(frozen=True)
+class StepWeights:
+    """Weights of the modes of a body in time step control.
+
+    Step control limits the error of charge, which represents an error of motion. A mode at
+    ``full`` times the lowest frequency has a capacitor of 1 uF. The capacitors of slower modes are
+    smaller by the ``power`` of their frequency. A ``share`` of the clamped capacitance is a
+    capacitor, whose charge includes the charge of the modes.
+    """
+
+    full: float
+    power: int
+    share: float
+
+    def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
+        """Return the capacitances [F] of modes at the frequencies ``omega`` [rad/s]."""
+        return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
+
+
+# for scenes in which the ringing of the body is a result
+RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
+# for scenes with a throw: fewer time points with the same launch velocity
+THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
+# for scenes in which only the motion of thrown parts matters: half the time points
+COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
+_RESONATORS_COMMENT = """\
+* Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
+* scaled so that 1 V is the mode's largest {answer}:
+*
+*     q' = omega p                  p' = -omega q - damp p + drive (port forces and voltages)
+*
+* The comment of a mode states frequency, Q and equivalent branch at the port with the largest
+* coupling, for damping=1: L, C and R in series across an electrical port, or the mass m [kg],
+* damper c [N s/m] and spring k [N/m] at a pin.
+* Modes whose coupling to every port is less than {silent:g} of the largest are left out.
+* Modes above {full} times the lowest frequency have capacitors of 1 uF. The capacitors of slower
+* modes decrease with the power {power} of the frequency: these modes limit the time steps less.
+* {reference}: connect it to node 0. Electrical pins float."""
+_LIGHT_DAMPING_COMMENT = """\
+* Modes with a Q above {quality:g} have p = q + q'/omega, which gives pivots on the diagonal."""
+
+
+def write_resonators(
+    model: Resonators,
+    rom: LinearModel,
+    terminals: list[PortTerminal],
+    base: str,
+    weights: StepWeights,
+    noise: bool,
+) -> tuple[list[str], list[Line]]:
+    """Return comments and cards of the resonators in modal coordinates.
+
+    With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
+    mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
+    model without mechanical ports, in uC)::
+
+        C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
+
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or by other ``weights``. Step control limits the error
+    of charge, which is ``C`` times the error of displacement. Slow modes have little influence on
+    a contact, but ring long after it.
+    With a damping below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode_cards`.
+    A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
+    ``C = G d / w^2``.
+    """
+    order = order_observable_modes(model)
+    omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
+    heavy = model.inertia[order] > 0
+    scale = scale_modes(gain, terminals)[:, None]
+    numbers = range(1, len(order) + 1)
+    turn = omega * heavy  # modes with inertia; the other states need no velocity node
+    light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
+    rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
+    qq, qp, pq, pp = map(np.diag, rates)
+    drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
+    micro_per_unit = MICRO / np.array(list(map(attrgetter("unit"), terminals)))
+    states = StateNodes(
+        [*map("q{}".format, numbers), *map("p{}".format, numbers)],
+        [*map(str, numbers), *map("d{}".format, numbers)],
+        np.block([[qq, qp], [pq, pp]]),
+        np.vstack([np.zeros_like(drive), drive]),
+        np.hstack([(gain / scale).T * micro_per_unit[:, None], np.zeros_like(gain.T)]),
+    )
+    farad = weights.capacitances(omega, omega[heavy].min(initial=np.inf))
+    siemens = np.where(heavy, farad * omega, STATE_CONDUCTANCE)
+    force = siemens * scale[:, 0] / (omega**2 * MICRO)
+    drive = force[:, None] * gain
+    about = _describe_resonators(terminals, base, weights)
+    if light.any():
+        about += _LIGHT_DAMPING_COMMENT.format(quality=1 / LIGHT_DAMPING).split("\n")
+    laws = OutputLaws(terminals, states, rom.D, rom, base)
+    body: list[Line] = []
+    stored = []
+    for t in map(laws.connect_output, terminals):
+        stored.append(replace(t, sums=()) if t.clamped else t)  # the modes add their charge below
+    body += port_lines(stored, base, weights.share)
+    for j in range(len(order)):
+        node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
+        if heavy[j]:
+            branch = describe_branch(damp[j], omega[j], gain[j], gain, terminals)
+            body.append(f"\n* Mode {j + 1}: {describe_mode(omega[j], damp[j])}{branch}")
+            body += _mode_cards(j + 1, omega[j], damp[j], farad[j], base)
+        else:
+            body += _massless_mode_lines(j + 1, omega[j], damp[j], base)
+        body += connect_sources(drive_mode(j + 1, drive[j], terminals, base), base, node)
+        if noise and damp[j] > 0:
+            loss = f"{{damping*{format_number(damp[j])}}}"
+            body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
+            body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
+        for k, t in enumerate(terminals):
+            if t.clamped:
+                charge = gain[j, k] / scale[j, 0] * MICRO / t.unit  # uC per um
+                source = Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, charge)
+                body.append(source.between(base, f"charge{t.tag}"))
+    return about, body
+
+
+def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str) -> Iterator[Line]:
+    """Yield the meter and the heat flows of all modes with losses.
+
+    In the symbols of :func:`write_resonators` a mode with inertia has the velocity ``z' = w p / s``
+    and loses ``d z'^2``. A state without inertia loses ``(w^2 / s)^2 (f - q)^2 / d`` with the drive
+    ``f = (s / w^2) sum_k g_k u_k``.
+    """
+    order = order_observable_modes(model)
+    omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
+    size = MICRO / scale_modes(gain, terminals)
+    yield from meter_cards()
+    for j in np.flatnonzero(damp > 0).tolist():
+        index, q, p = j + 1, f"q{j + 1}", f"p{j + 1}"
+        w, d, unit = map(float, (omega[j], damp[j], size[j]))
+        if model.inertia[order[j]] > 0:
+            velocity = (p, q) if d < LIGHT_DAMPING * w else (p, base)
+            yield moving_loss_card(index, velocity, d * (w * unit) ** 2)
+            continue
+        row = STATE_CONDUCTANCE * gain[j] / (unit * w**2)
+        sources = drive_mode(index, row, terminals, base)
+        drives = [(float(g.value), g.plus, g.minus) for g in sources if g.value]
+        yield relaxing_loss_card(index, drives, (q, base), (w**2 * unit) ** 2 / d)
+
+
+def _describe_resonators(
+    terminals: Sequence[PortTerminal], base: str, weights: StepWeights
+) -> list[str]:
+    """Return comments about the circuit equations and the reference pin."""
+    words: dict[str, Any] = {
+        "full": weights.full,
+        "power": weights.power,
+        "silent": NEGLIGIBLE_GAIN,
+    }
+    words["answer"] = "displacement of a port in um"
+    words["reference"] = "The base is the mechanical and signal reference"
+    lines = list(OUTWARDS_COMMENT)
+    domains = port_domains(map(attrgetter("port"), terminals))
+    if has_other_reference(domains):
+        units = dict.fromkeys(map(attrgetter("answer_unit"), domains))
+        words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
+        words["reference"], lines = f"Values of pins count from {base}", []
+    return [*lines, *_RESONATORS_COMMENT.format(**words).split("\n")]
+
+
+def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
+    """Yield the two integrators of one mode.
+
+    With a damping below :data:`LIGHT_DAMPING` the second state is ``p = q + q' / w``. The voltage
+    from p to q is then the velocity.
+    """
+    q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
+    light = damp < LIGHT_DAMPING * omega
+    velocity = (p, q) if light else (p, base)
+    yield Element.of(f"Cq{j}", q, base, farad)
+    yield Element.of(f"Cp{j}", p, base, farad)
+    yield Element.of(f"Gq{j}", base, q, *velocity, turn)
+    yield Element.of(f"Gp{j}", p, base, q, base, turn)
+    if light:
+        yield Element.of(f"Gs{j}", base, p, *velocity, turn)
+    if loss > 0:
+        yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{format_number(loss)}}}")
+
+
+def describe_mode(omega: float, damp: float) -> str:
+    """Describe the frequency and the Q factor of a mode for a comment.
+
+    ``omega`` is its angular frequency [rad/s], ``damp`` its damping [1/s].
+
+    Examples
+    --------
+    >>> describe_mode(2 * np.pi * 41.2e3, 2 * np.pi * 824.0)
+    '41.2 kHz, Q 50'
+    """
+    hertz = omega / (2 * np.pi)
+    power = prefix_power(hertz)
+    quality = f"Q {omega / damp:.4g}" if damp > 0 else "undamped"
+    return f"{hertz / 10.0**power:.6g} {PREFIXES[power]}Hz, {quality}"
+
+
+def describe_branch(
+    damp: float,
+    omega: float,
+    gain: np.ndarray,
+    gains: np.ndarray,
+    terminals: Sequence[PortTerminal],
+) -> str:
+    """Describe the circuit elements equal to a mode at a port; empty if there are none.
+
+    The mode is ``z'' + damp z' + omega^2 z = g v`` with the charge ``g z``. At an electrical port
+    it is L = 1/g^2, R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port it is the mass
+    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. ``gains`` are the gains of
+    all modes: a gain far below the largest is a rounding error.
+    """
+    size = np.abs(gain)
+    size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
+    for domains in ((ELECTRICAL,), (TRANSLATION, ROTATION)):
+        shares = size * [t.port.domain in domains for t in terminals]
+        if not shares.any():
+            continue
+        port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN)))
+        m, c, k = map(float, np.array([1.0, damp, omega**2]) / shares[port] ** 2)
+        if ELECTRICAL in domains:
+            elements = f"L={abbreviate(m)} C={abbreviate(1 / k)} R={abbreviate(c)}"
+        else:
+            elements = f"m={abbreviate(m)} c={abbreviate(c)} k={abbreviate(k)}"
+        return f", {elements} at {terminals[port].pins[0]}"
+    return ""
+
+
+def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
+    """Yield the cards of a massless mode."""
+    hertz, time = omega / (2 * np.pi), damp / omega**2
+    yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
+    if time > 0:
+        yield Element.of(
+            f"Cq{j}", f"q{j}", base, f"{{damping*{format_number(STATE_CONDUCTANCE * time)}}}"
+        )
+    yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, STATE_CONDUCTANCE)
+
+
+def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
+    """Return the largest share (q,) of each mode in a displacement, or in any port."""
+    mechanical = [t.port.domain is TRANSLATION for t in terminals]
+    scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
+    scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def drive_mode(
+    index: int,
+    row: np.ndarray | Sequence[Value],
+    terminals: Sequence[PortTerminal],
+    base: str,
+) -> list[Transconductance]:
+    """Return the sources by which ports drive a mode: forces, voltages, accelerations."""
+    result = []
+    for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
+        suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
+        result.append(t.weigh_input(f"G{t.source_letter}{suffix}", row, base))
+    return result
+
+
+def order_observable_modes(model: Resonators) -> np.ndarray:
+    """Return the indices of observable modes by frequency, without inertia last.
+
+    A mode that no port moves or observes is a rounding error.
+    """
+    share = np.abs(model.gain) / model.omega[:, None]
+    share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
+    observable = share.max(axis=1, initial=0.0) > NEGLIGIBLE_GAIN
+    order = np.lexsort((model.omega, model.inertia == 0.0))
+    return order[observable[order]] if observable.any() else order

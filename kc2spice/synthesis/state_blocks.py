@@ -1,0 +1,166 @@
+"""Cards of blocks of states, for models that do not decouple into resonators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import filterfalse
+from operator import attrgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.elements import Line
+from kc2spice.netlist.spelling import format_comment, format_number
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.synthesis.mode_cards import RINGING_WEIGHTS
+from kc2spice.synthesis.terminals import (
+    INPUT_LEAK,
+    OUTWARDS_COMMENT,
+    OutputLaws,
+    PortTerminal,
+    StateNodes,
+    connect_sources,
+    has_other_reference,
+    model_band,
+    port_domains,
+    port_lines,
+    weigh_inputs,
+)
+
+if TYPE_CHECKING:
+    from kc2spice.rom.blocks import BlockModel
+FREE_LEAK = 1e-12  # S, of a free integrator
+# Smallest singular value of a block, relative to the band, below which it integrates constant
+# inputs.
+INTEGRATOR_RATIO = 1e-11
+_STATES_COMMENT = """\
+* Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
+* one unit of the pin. Coupled states z are the voltages of capacitors of {farad} F:
+*
+*     z' = A z + B u                y = C z + D u
+*
+* The states are scaled to about 1 V for a constant input of 1 V. {base} is the reference of all
+* pins that are not electrical: connect it to node 0."""
+_LOOP_NOTE = "no states, but loops of signals: the sum of the currents into each node is zero"
+_INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
+
+
+def write_blocks(
+    model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
+) -> tuple[list[str], list[Line]]:
+    """Return comments and cards of blocks of states.
+
+    The states of the blocks of :func:`kc2spice.rom.blocks.block_model` are voltages on capacitors
+    ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A block is
+    scaled to about 1 V for a constant input of 1 V.
+    """
+    from scipy.linalg import block_diag  # imported here, because most models do not need it
+
+    farad = 1 / (2 * np.pi * model_band(rom)[1])
+    B, C = model.B.copy(), model.C.copy()
+    none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
+    F, P, Q, R, S = map(np.ndarray.copy, model.loops or none)
+    scaled_blocks, integrating, start = [], [], 0
+    for block in model.blocks:
+        rows = slice(start, start + len(block))
+        start += len(block)
+        block, free, scale = _balance_block(block, np.hstack([B[rows], F[rows]]), 1 / farad)
+        B[rows] /= scale[:, None]
+        F[rows] /= scale[:, None]
+        C[:, rows] *= scale
+        P[:, rows] *= scale
+        scaled_blocks.append(block)
+        integrating.append(free)
+    numbers = list(map(str, range(1, start + len(S) + 1)))
+    units = [t.unit for t in terminals if t.row is not None]
+    states = StateNodes(
+        list(map("z{}".format, numbers)),
+        numbers,
+        np.block([[block_diag(*scaled_blocks), F], [P / farad, S / farad]]),
+        np.vstack([B, Q / farad]),
+        np.hstack([C, R]) / np.array(units)[:, None],
+    )
+    laws = OutputLaws(terminals, states, model.D, rom, base)
+    wired = list(map(laws.connect_output, terminals))
+    body = list(_input_lines(terminals, base))
+    body += port_lines(wired, base, RINGING_WEIGHTS.share)
+    outputs = (t for t in wired if t.kind == "output")
+    for index, t in enumerate(outputs, 1):
+        body += _output_lines(t, index, base)
+    at = 0
+    signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
+    for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
+        first, at = at, at + len(block)
+        accuracy = _LOOP_NOTE if drifts is None else format_comment(_describe_poles(block))
+        body.append(f"\n* States {first + 1} to {at}: {accuracy}")
+        for k in range(first, at):
+            index, node = k + 1, f"z{k + 1}"
+            if drifts is not None:
+                body.append(Element.of(f"C{node}", node, base, farad))
+            if drifts:
+                body += [
+                    _INTEGRATOR_COMMENT,
+                    Element.of(f"G{node}", node, base, node, base, FREE_LEAK),
+                ]
+            sums = states.sum_states(farad * states.A[k], base)
+            inputs = weigh_inputs(terminals, farad * states.B[k], base)
+            body += connect_sources(sums, base, node, f"Ga{index}_")
+            body += connect_sources(inputs, base, node, f"Gb{index}_")
+    about = _STATES_COMMENT.format(farad=format_number(farad), base=base).split("\n")
+    domains = port_domains(rom.ports)
+    placed = domains and not has_other_reference(domains)
+    return [*OUTWARDS_COMMENT, *about] if placed else about, body
+
+
+def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
+    """Yield the resistors of noise inputs, then the leaks of signal inputs."""
+    inputs = [t for t in terminals if t.kind == "input"]
+    for t in filter(attrgetter("is_noise"), inputs):
+        yield Element.of(f"R{t.pins[0]}", t.pins[0], base, "1")
+    signals = filterfalse(attrgetter("is_noise"), inputs)
+    for index, t in enumerate(signals, 1):
+        if index == 1:
+            yield "* An input that is left open is zero."
+        yield Element.of(f"Gleak{index}", t.pins[0], base, t.pins[0], base, INPUT_LEAK)
+
+
+def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
+    """Yield the cards of a signal output."""
+    node = f"sum{index}"
+    yield f"\n* Output {t.pins[0]}"
+    yield Element.of(f"E{index}", t.pins[0], base, node, base, "1")
+    yield Element.of(f"Rsum{index}", node, base, "1")
+    yield from connect_sources(t.sums, base, node, f"Gc{index}_")
+    yield from connect_sources(t.through, base, node, f"Gt{index}_")
+
+
+def _balance_block(
+    block: np.ndarray, drive: np.ndarray, omega: float
+) -> tuple[np.ndarray, bool, np.ndarray]:
+    """Return a block, whether it integrates, and the scale of its states.
+
+    A complex pair becomes ``[[a, w], [-w, a]]``. States are about 1 for a constant input of 1.
+    """
+    scale = np.ones(len(block))
+    if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
+        scale[1] = np.sqrt(-block[1, 0] / block[0, 1])
+    block, drive = block * scale / scale[:, None], drive / scale[:, None]
+    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < INTEGRATOR_RATIO * omega)
+    answer = drive / omega if free else np.linalg.solve(block, drive)
+    return block, free, scale * (np.abs(answer).max(initial=0.0) or 1.0)
+
+
+def _describe_poles(block: np.ndarray) -> str:
+    """Describe the first poles of a block for a comment."""
+    poles = np.linalg.eigvals(block)
+    texts = list(map(_describe_pole, poles[poles.imag >= 0]))
+    more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
+    return "; ".join(texts[:3]) + more
+
+
+def _describe_pole(pole: complex) -> str:
+    if pole.imag > 0:
+        size = abs(pole)
+        return f"{size / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / size:.6g}"
+    return f"pole {pole.real:.6g} 1/s"

@@ -1,0 +1,485 @@
+"""Ports of a model as pins of a subcircuit, and the cards between pins and states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from kc2spice.core.domains import BASE, ELECTRICAL, TRANSLATION, Domain
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.elements import Line
+from kc2spice.netlist.spelling import LEAK_RATE, format_number, require_distinct
+from kc2spice.netlist.spelling import require_name as checked_name
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.synthesis.emitted import LOWEST_FREQUENCY_RATIO, MICRO, accelerates_frame
+from kc2spice.synthesis.header import netlist_pins
+
+if TYPE_CHECKING:
+    pass
+INPUT_LEAK = 1e-18  # S, of a signal input, which is zero if nothing drives it
+LEAK_POINTS = 60  # frequencies at which the smallest charge of an electrode is searched
+# Cross terms of D below this share of the diagonal are rounding errors.
+CROSS_ROUNDING = 1e-13
+# smallest value of C B, relative to its terms, at which a rate jumps with an input
+NEGLIGIBLE_JUMP = 1e-9
+INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
+OUTWARDS_COMMENT = (
+    "* Positive um are along a port's outward direction. A current into its pin is a force on the",
+    "* body along that direction (rotations: right-hand rule of the port's axis).",
+)
+_CLAMPED_COMMENT = """
+* Electrical port{name}: the clamped capacitance of {farad:.6g} F in series with the voltage
+* -charge/capacitance of the charge that the modes move (1 V on charge = 1 uC).
+* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current, so that the
+* time steps follow the motion of the body and not the current. The voltage of node current is the
+* total current. Gleak gives a floating electrode an operating point: its charge decays within
+* {seconds:g} s."""
+_FILLED_COMMENT = """
+* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. The capacitance of
+* {farad:.6g} F stores the part that follows at once, in series with the voltage
+* -charge/capacitance of the part that the modes store (1 V on charge = 1 uC, thus 1e-6 {flow} s).
+* Cclamped has {share} of the capacitance, and Gmore adds the other part of the current. The voltage
+* of node current is the total current. Gleak gives the pin an operating point: the charge decays
+* within {seconds:g} s."""
+_UNFILLED_COMMENT = """
+* Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
+* of the quantity that the states store. Gleak gives the pin an operating point."""
+_UNCLAMPED_COMMENT = """
+* Electrical port {name} has no clamped capacitance: its current is the rate of the charge
+* that the states move.
+* Gleak gives a floating electrode an operating point."""
+_MOTION_COMMENT = """
+* Port {pin}: its displacement u is the sum of the modes (1 V = 1 um). The voltage of node f is the
+* force that keeps the pin at u (1 V = 1 N)."""
+_ROTATION_COMMENT = """
+* Rotation {pin}: like a displacement port, with 1 V = 1 rad and 1 A = 1 N m."""
+_SHAKEN_COMMENT = """
+* Acceleration {pin} of the frame to which the body is fixed (1 V = 1 m/s2). The current into the
+* pin is the force that accelerates the body (1 A = 1 N)."""
+_NOISE_INPUT_NAME = re.compile(r"noise\d+")
+
+
+Value: TypeAlias = float | str  # number, or expression of the subcircuit's parameters
+
+
+def write_value(value: Value) -> str:
+    """Return a value as a word of a card."""
+    return f"{{{value}}}" if isinstance(value, str) else format_number(value)
+
+
+def scale_value(factor: float, value: Value) -> Value:
+    """Multiply a value by a number."""
+    return f"{format_number(factor)}*{value}" if isinstance(value, str) else factor * value
+
+
+@dataclass(frozen=True)
+class Transconductance:
+    """Controlled source of ``value`` amperes per volt of the voltage from ``plus`` to ``minus``."""
+
+    label: str
+    plus: str
+    minus: str
+    value: Value
+
+    def between(self, a: str, b: str, prefix: str = "") -> Element:
+        """Return the element with its current from ``a`` to ``b``."""
+        value = write_value(self.value)
+        return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
+
+
+def connect_sources(
+    sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
+) -> Iterator[Element]:
+    """Yield the elements of controlled sources from ``a`` to ``b``."""
+    for source in sources:
+        yield source.between(a, b, prefix)
+
+
+@dataclass(frozen=True)
+class PortTerminal:
+    """Port with its pins, its ``column`` of B and its ``row`` of C.
+
+    ``clamped`` is its clamped capacitance [F], ``capacitance`` an expression that replaces it.
+    The sources ``sums`` add the states to the output of the port, the sources ``through`` add
+    inputs of ports. ``tag`` ends the names of its nodes. ``leak`` is a conductance [S].
+    """
+
+    port: Port
+    pins: tuple[str, ...]
+    tag: str
+    column: int | None
+    row: int | None
+    clamped: float
+    capacitance: str = ""
+    sums: tuple[Transconductance, ...] = ()
+    through: tuple[Transconductance, ...] = ()
+    leak: float = INPUT_LEAK
+
+    @property
+    def kind(self) -> str:
+        """Kind of the port."""
+        return self.port.kind
+
+    @property
+    def label(self) -> str:
+        """Name of the port."""
+        return self.port.name
+
+    @property
+    def is_frame(self) -> bool:
+        """Whether the port accelerates the frame of the body."""
+        return accelerates_frame(self.port)
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the input is the force of thermal noise."""
+        return _NOISE_INPUT_NAME.fullmatch(self.label) is not None
+
+    @property
+    def source_letter(self) -> str:
+        """SPICE letter (G or F) of the controlled sources that couple the port to the states."""
+        if self.port.loaded:
+            return "f"
+        return "s" if self.is_frame else "v"
+
+    @property
+    def unit(self) -> float:
+        """SI value of 1 V on the node that sums the output of the port."""
+        domain = self.port.domain
+        if domain is None:
+            return 1.0
+        if self.port.loaded:
+            return domain.across.factor
+        return MICRO * domain.through_variable.factor
+
+    @property
+    def input_unit(self) -> float:
+        """SI value of 1 V between the nodes of the input."""
+        domain = self.port.domain
+        return 1.0 if domain is None else domain.quantity(domain.driven).factor
+
+    def driven_pins(self, base: str) -> tuple[str, str]:
+        """Return the pins between which an input drives the port."""
+        return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
+
+    def input_nodes(self, base: str) -> tuple[str, str]:
+        """Return the nodes between which the port's input is a voltage."""
+        return (f"f{self.pins[0]}", base) if self.port.loaded else self.driven_pins(base)
+
+    def weigh_input(
+        self, label: str, row: np.ndarray | Sequence[Value], base: str
+    ) -> Transconductance:
+        """Return the source that adds the input of a port with its weight in ``row``."""
+        value = row[self.column or 0]
+        if self.input_unit != 1.0 and value:
+            value = scale_value(self.input_unit, value)
+        return Transconductance(label, *self.input_nodes(base), value)
+
+
+@dataclass(frozen=True, eq=False)
+class StateNodes:
+    """States ``z' = A z + B u`` with outputs ``y = C z + D u``, each the voltage of a node.
+
+    y is in volts on the nodes that sum the outputs of the ports.
+    """
+
+    nodes: Sequence[str]
+    labels: Sequence[str]
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+
+    def sum_states(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
+        """Return the sources that sum the states with the weights ``row``."""
+        result = []
+        for k in np.flatnonzero(row).tolist():
+            value = float(row[k])
+            result.append(Transconductance(self.labels[k], self.nodes[k], base, value))
+        return tuple(result)
+
+
+def weigh_inputs(
+    terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
+) -> tuple[Transconductance, ...]:
+    """Return the sources that sum the inputs of ports with the weights ``row``.
+
+    The name of a source is the letter ``mark`` with the number of its input.
+    """
+    result = []
+    for t in terminals:
+        if t.column is not None and row[t.column]:
+            result.append(t.weigh_input(f"{mark}{t.column + 1}", row, base))
+    return tuple(result)
+
+
+def charge_ports(rom: LinearModel) -> list[bool]:
+    """Return for each port whether its output is a charge."""
+    return list(map(attrgetter("charged"), rom.ports))
+
+
+def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
+    """Return the ports of a model with pins, and with capacitances of the matrix D.
+
+    Raises
+    ------
+    UsageError : a wrong number of pins, or a negative capacitance.
+    """
+    several = sum(charge_ports(rom)) > 1
+    result, column, row = [], 0, 0
+    for port in rom.ports:
+        pins = tuple(map(checked_name, port.terminals))
+        if len(pins) != (2 if port.paired else 1):
+            raise UsageError(
+                "the port has a wrong number of pins",
+                where=where,
+                got=port.name,
+                expected="two pins of an electrical port, otherwise one pin",
+            )
+        into = None if port.kind == "output" else column
+        out = None if port.kind == "input" else row
+        column += into is not None
+        row += out is not None
+        clamped = _pin_capacitance(port.domain, D[out, into]) if port.charged else 0.0
+        if clamped < 0:
+            raise UsageError(
+                "the clamped capacitance of a port is negative",
+                where=where,
+                got=f"{clamped:.3g} F at port {port.name}",
+                expected="a positive entry of D, the clamped capacitance",
+            )
+        tag = f"_{checked_name(port.name)}" if port.charged and several else ""
+        leak = INPUT_LEAK if clamped or not port.charged else _leak_conductance(rom, port)
+        result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
+    return result
+
+
+def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
+    """Return the capacitance [F] of pins that store SI units per unit across them."""
+    assert domain is not None
+    return float(stored) * domain.admittance
+
+
+def _leak_conductance(rom: LinearModel, port: Port) -> float:
+    """Return the conductance [S] across an electrode without a clamped capacitance.
+
+    The conductance is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
+    """
+    low, high = model_band(rom)
+    frequency = np.geomspace(max(low, LOWEST_FREQUENCY_RATIO * high), high, LEAK_POINTS)
+    try:
+        charge = np.abs(rom.select([port.name]).transfer(frequency))
+    except SimulationError:  # a frequency is a pole
+        return INPUT_LEAK
+    return LEAK_RATE * _pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
+
+
+def model_band(rom: LinearModel) -> tuple[float, float]:
+    """Return the band [Hz] of a model, by default from 0 to 1 Hz."""
+    return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
+
+
+def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
+    """Return the pins in order: pairs, other conservative pins, signals, reference.
+
+    Raises
+    ------
+    UsageError : a name that the subcircuit ``name`` uses internally.
+    """
+    paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
+    inner = [INNER_NODE_PATTERN]
+    for t in terminals:
+        pins = netlist_pins(t.port)
+        if t.port.loaded:
+            inner.append(loaded_nodes(pins[0]))
+        if t.port.conservative:
+            (paired if t.port.paired else moving).extend(pins)
+        else:
+            signals += pins
+    common = reference_pin(list(map(attrgetter("port"), terminals)))
+    # electrical ports against one cathode share its pin
+    result = (*dict.fromkeys(paired), *moving, *signals, common)
+    require_distinct_pins(result, inner, name)
+    return result, common.name
+
+
+def loaded_nodes(pin: Pin) -> str:
+    """Return the pattern of the internal nodes of a port that a flow drives."""
+    return f"[uf]{pin.name.lower()}"
+
+
+def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
+    """Raise an error if pin names are equal or match an internal node."""
+    require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
+
+
+def reference_pin(ports: Sequence[Port]) -> Pin:
+    """Return the last pin, which is the reference of all single pins.
+
+    Displacements and all other quantities of a model with mechanical ports are relative to the
+    base. The base is called ``ground`` if a port is called ``base``.
+    """
+    domains = port_domains(ports)
+    others = list(filter(attrgetter("reference"), domains))
+    if len(others) == 1 and others[0].reference != BASE:
+        return Pin(others[0].reference, *others[0].units)
+    if domains:
+        terminals = chain.from_iterable(map(attrgetter("terminals"), ports))
+        return Pin("ground" if BASE in terminals else BASE, *TRANSLATION.units)
+    return Pin("ref", *ELECTRICAL.units)
+
+
+def port_domains(ports: Iterable[Port]) -> list[Domain]:
+    """Return the domains of ports, each once, in the order of the ports."""
+    return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
+
+
+@dataclass(frozen=True, eq=False)
+class OutputLaws:
+    """Sources by which states and inputs determine the outputs ``y = C z + D u``.
+
+    An electrical port without a clamped capacitance needs the current ``y' = C A z + C B u``. An
+    acceleration port needs the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. There C B is
+    zero because everything that moves has inertia.
+    """
+
+    terminals: Sequence[PortTerminal]
+    states: StateNodes
+    D: np.ndarray
+    rom: LinearModel
+    base: str
+
+    def connect_output(self, t: PortTerminal) -> PortTerminal:
+        """Return the terminal with the sources of its output.
+
+        Raises
+        ------
+        UsageError : an acceleration port depends on the rate of an input, or an electrode without
+        clamped capacitance shares charge.
+        """
+        if t.row is None:
+            return t
+        if t.is_frame:
+            return self._connect_frame(t)
+        row, direct = self.states.C[t.row], self.D[t.row] / t.unit
+        if t.port.charged:  # the clamped capacitance is a capacitor
+            direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
+            direct[t.column] = 0.0
+            if not t.clamped:
+                return self._connect_unclamped(t, direct)
+        return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
+
+    def _connect_frame(self, t: PortTerminal) -> PortTerminal:
+        """Return an acceleration port with the sources of its force."""
+        row, states = self.states.C[t.row], self.states
+        jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))
+        at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
+        if jump.any() or at_once.any():
+            raise UsageError(
+                "an acceleration port acts on states without inertia, so its force depends on "
+                "derivatives of inputs, which netlists do not support",
+                where=t.label,
+                got="C B not zero in the row of the port",
+                expected="C B = 0 in the row of an acceleration port",
+                hint="set the rows of B and C of the states without inertia to zero",
+            )
+        rate = MICRO * row @ states.A
+        force = -(rate @ states.B)
+        mass = self.rom.facts.get("mass_kg")
+        force[t.column] = 0.0 if mass is None else mass + force[t.column]
+        sums = self._weigh_states(-(rate @ states.A))
+        return replace(t, sums=sums, through=self._weigh_inputs_only(force))
+
+    def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
+        """Return an unclamped electrode with the sources of its current."""
+        if direct.any():
+            raise UsageError(
+                "an electrode without clamped capacitance is coupled to other ports through D",
+                where=t.label,
+                expected="a positive semi-definite D",
+            )
+        row = self.states.C[t.row]
+        jumps = self._weigh_inputs_only(MICRO * row @ self.states.B, mark="tu")
+        return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
+
+    def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
+        return self.states.sum_states(row, self.base)
+
+    def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
+        """Return the sources by inputs, without weights that are rounding errors."""
+        size = np.abs(row).max(initial=0.0)
+        row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
+        return weigh_inputs(self.terminals, row, self.base, mark=mark)
+
+
+def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of electrical ports, of moving ports, of accelerated frames."""
+    for role in ("port.charged", "port.loaded", "is_frame"):
+        for t in filter(attrgetter(role), terminals):
+            yield from _lines_of_port(t, base, share)
+
+
+def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of one port."""
+    pin, tag = t.pins[0], t.tag
+    if t.is_frame:
+        yield _SHAKEN_COMMENT.format(pin=pin)
+        yield from connect_sources(t.sums + t.through, pin, base, f"Ga{pin}_")
+    elif t.port.loaded:
+        yield (_MOTION_COMMENT if t.port.domain is TRANSLATION else _ROTATION_COMMENT).format(
+            pin=pin
+        )
+        yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
+        yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
+        yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
+        yield from connect_sources(t.sums, base, f"u{pin}", f"Gu{pin}_")
+        yield from connect_sources(t.through, base, f"u{pin}", f"Gt{pin}_")
+    elif t.clamped:
+        yield from _clamped_lines(t, base, share)
+    else:
+        a, b = t.driven_pins(base)
+        yield (_UNCLAMPED_COMMENT if t.port.paired else _UNFILLED_COMMENT).format(
+            name=t.label, **_pin_comment(t, base)
+        )
+        yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
+        for source in t.sums:
+            yield replace(source, label=f"{source.label}{tag}").between(a, b, "Gc")
+
+
+def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of an electrical port with a clamped capacitance."""
+    tag = t.tag
+    words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
+    words["seconds"] = 1 / LEAK_RATE
+    yield (_CLAMPED_COMMENT if t.port.paired else _FILLED_COMMENT).format(
+        **words, **_pin_comment(t, base)
+    )
+    (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
+    inverse = f"{format_number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
+    leak = write_value(scale_value(LEAK_RATE, c))
+    yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", write_value(scale_value(share, c)))
+    yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
+    yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", leak)
+    yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
+    ends = f"current{tag}", f"charge{tag}"
+    yield Element.of(f"Gcharge{tag}", base, *ends, base, write_value(inverse))
+    yield Element.of(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
+    yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
+    yield from connect_sources(t.sums + t.through, base, f"charge{tag}", f"Gc{tag}_")
+
+
+def _pin_comment(t: PortTerminal, base: str) -> dict[str, str]:
+    """Return the description of a port's pin for a comment."""
+    return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
+
+
+def has_other_reference(domains: Iterable[Domain]) -> bool:
+    """Return whether values at pins have another reference than displacements."""
+    references = set(map(attrgetter("reference"), domains)) - {""}
+    return bool(references) and BASE not in references
