@@ -22,10 +22,10 @@ from support import (
     parametric_subcircuit,
     polynomials,
     read_cards,
-    terminals,
     require_circuit,
     run_deck,
     subcircuit,
+    terminals,
 )
 from typer.testing import CliRunner
 
