@@ -6,7 +6,8 @@
     ]
     support = "free"                            # clamped, simply_supported, { node = "13 mm" }
 
-Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode), mechanical port
+Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode). Acoustic ports
+``front_face`` and ``back_face``: all surfaces that point upwards and downwards. Mechanical port
 ``centre``: mean axial displacement of a small patch on top, upwards. Neglected: glue (unless it is
 a layer), silver, solder, wires and air.
 """
