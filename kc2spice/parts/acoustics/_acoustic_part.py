@@ -148,7 +148,8 @@ class AcousticPart(PartType[FluidKeysT]):
         network, name = self.network(part, build.scene), build.libraries[part.name]
         pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
         title = f"{name}: {self.title}"
-        limits: dict[str, Any] = {"rating": RATING, "validity": network.validity}
+        validity = f"{network.validity}; constant temperature"
+        limits: dict[str, Any] = {"rating": RATING, "validity": validity}
         head = part_header(header, title, pins, network.params, **limits)
         items = attach_comments(tuple(self._write_items(part, network, noisy=build.has_noise)))
         names = tuple(pin.name for pin in pins)

@@ -220,7 +220,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         title = f"{name}: {self.title}; {words}"
         validity = (
             "far field on the axis, without travel time and directivity; inputs are pressures at "
-            f"{REFERENCE_DISTANCE:g} m"
+            f"{REFERENCE_DISTANCE:g} m; constant temperature"
         )
         head = part_header(header, title, pins, params, rating=RATING, validity=validity)
         items = tuple(_write_sum(len(sources)))
