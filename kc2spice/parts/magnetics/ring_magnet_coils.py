@@ -530,7 +530,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
         heated = is_heated(part, scene)
         if heated:
-            yield Neglected(*ONE_TEMPERATURE)
+            _, why, size = ONE_TEMPERATURE
+            yield Neglected("different temperatures of the two coils", why, size)
         if _is_driven(part, scene) and not has_real_coils(part, scene):
             yield Neglected(
                 "coil voltage and inductance"
