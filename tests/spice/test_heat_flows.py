@@ -95,6 +95,7 @@ WALL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coefficient", [20.0, 300.0, 5000.0])
 def test_heat_flows_over_the_range_of_a_film_are_within_the_stated_error(coefficient):
     keys = {**WALL, "films": [{"group": "bottom", "coefficient": coefficient, "pin": "case"}]}
