@@ -8,6 +8,7 @@ from support import read_lib, read_raw
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
+REFERENCES = {"base", "ref", "ambient"}
 
 
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
@@ -15,7 +16,8 @@ def test_a_library_runs_without_kc2spice(path, tmp_path):
     """A volt, a micrometre or an ampere rises at the first pin; all pins end in a resistor."""
     cards = ["* alone", f".include {path}"]
     for part in read_lib(path):
-        nodes = ["0" if pin.name in ("base", "ref") else f"n{k}" for k, pin in enumerate(part.pins)]
+        names = [pin.name for pin in part.pins]
+        nodes = ["0" if name in REFERENCES else f"n{k}" for k, name in enumerate(names)]
         cards.append(f"X1 {' '.join(nodes)} {part.name}")
         cards += [f"R{k} {node} 0 1k" for k, node in enumerate(nodes) if node != "0"]
     cards += ["Idrive 0 n0 PULSE(0 1m 1u 1u 1u 5u)", ".tran 0.1u 10u", ".end"]

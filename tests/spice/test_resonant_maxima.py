@@ -252,7 +252,7 @@ largest = {{ of = "air.flow", take = "max" }}
 """
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:.*is not a piston")
 def test_a_face_that_drives_masses_of_fluid_has_its_resonance(scene_file):
     """The fluid moves with the face, so its masses have no motion of their own.
 
