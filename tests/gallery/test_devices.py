@@ -75,7 +75,7 @@ COARSE = {
 }  # fmt: skip
 CASES = [n for n, entry in PUBLISHED.items() if "scene" in entry]
 LONG = ("silicon_diaphragm", "beam_pull_in", "cantilever_unbiased", "rod_on_wall", "beam_mtest",
-        "stressed_beam")  # fmt: skip
+        "stressed_beam", "orthotropic_bar", "measured_bar")  # fmt: skip
 SLOW = {n for n in CASES if n in LONG or n.startswith("piezo")}  # piezo: three-dimensional
 
 

@@ -156,6 +156,7 @@ def test_smooth_modes_converge_with_the_fourth_power_of_the_cell():
 # -- Langevin -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_slender_langevin_resonates_as_a_transmission_line():
     keys = {
         "front": [{"material": "aluminium", "diameter": "10 mm", "length": "80 mm"}],

@@ -10,6 +10,7 @@ from support import magnet_field as magmesh
 RADIUS = 1e-3
 
 
+@pytest.mark.slow
 def test_polarity_reverses_only_the_ring_magnet() -> None:
     span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
     table, turned = (

@@ -115,6 +115,7 @@ def bar(home, name, direction, axes, **changes):
     return np.real(model.transfer(np.zeros(1))[0])
 
 
+@pytest.mark.slow
 def test_bar_with_turned_axes_is_the_bar_turned_in_space(tmp_path):
     """A cyclic change of x, y, z of the bar and of its material changes no compliance."""
     plain = bar(tmp_path, "x.msh", 0, {})

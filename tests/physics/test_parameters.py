@@ -85,6 +85,7 @@ def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
     assert 0.02 * certified < largest < certified  # and the netlist does depend on them
 
 
+@pytest.mark.slow
 def test_a_budget_compares_parameter_ranges_with_a_plain_reduction():
     """Refined runs need no box, which a tenth of its tolerance could not be certified for."""
     own = {"analysis.points": 40, "error_budget": 0.5, f"disc.{KEY}": 1.15e-4}

@@ -104,6 +104,7 @@ def test_the_indentation_of_a_sphere_in_steel_follows_hertz(spacing, first, erro
     assert slope == pytest.approx(1.5, abs=error)
 
 
+@pytest.mark.slow
 def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)

@@ -74,7 +74,7 @@ def test_coils_at_a_voltage_warm_as_scipy_integrates(pins, coefficient):
     assert all(check.passed for check in balances)
 
 
-@pytest.mark.parametrize("pins", [SERIES, REAL])
+@pytest.mark.parametrize("pins", [pytest.param(SERIES, marks=pytest.mark.slow), REAL])
 def test_verify_integrates_the_coupled_equations(pins):
     drive = {"part": "source", "sine": {"amplitude": "150 V", "frequency": "200 Hz"}}
     solver = {"stop": "20 ms", "reltol": 1e-5}

@@ -117,6 +117,7 @@ def refined_disc(monkeypatch, most, budget):
     return refine.converge_to_budget(own, Clock()), exact
 
 
+@pytest.mark.slow
 def test_a_mesh_at_its_limit_ends_the_refinement_with_its_reason(monkeypatch):
     """Other settings do not help any more; no run is spent on them."""
     done, _ = refined_disc(monkeypatch, 1000, 1e-4)

@@ -248,6 +248,7 @@ def test_rows_of_a_plate_have_a_width_and_equal_patches():
             load_scene(scene)
 
 
+@pytest.mark.slow
 def test_a_beam_under_tension_is_stiffer():
     """Deflection of its middle under a load q per length, clamped, with ``k^2 = N / (E I)``:
     ``q l^2 / (8 N) - q l tanh(k l / 4) / (2 N k)``; 5e-3 is the mesh and shear."""

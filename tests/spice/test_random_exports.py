@@ -305,7 +305,7 @@ BOXES = {
 @pytest.mark.parametrize(
     "family",
     [
-        pytest.param(k, marks=[pytest.mark.slow, pytest.mark.campaign] * (k != "thin"))
+        pytest.param(k, marks=[pytest.mark.slow, *[pytest.mark.campaign] * (k != "thin")])
         for k in BOXES
     ],
 )

@@ -177,6 +177,7 @@ def struck(K, m, beta, penalty, times):
     return done.y[-1], done.y[0]
 
 
+@pytest.mark.slow
 def test_a_contact_that_the_default_reduction_misses_runs_again_with_more_states(tmp_path):
     """Right to 1e-4 over its band, the reduced rod answers a hard blow 13 % otherwise."""
     rod_matrices = rod(tmp_path)
