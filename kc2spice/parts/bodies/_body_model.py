@@ -58,6 +58,7 @@ MODEL_SOURCES = (
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
     "kc2spice.core.quantities", "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
     "kc2spice.parts.bodies._mesh_keys",
+    "kc2spice.physics.conductors",
 )  # fmt: skip
 
 
