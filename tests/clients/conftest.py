@@ -35,10 +35,12 @@ def deck_of():
     """``deck_of(scene, **solver)``: a gallery scene around made-up chip and magnets, exported."""
 
     def make(name, **solver):
-        stops = load_scene(name).analysis.stop is not None and "stop" in solver
+        whole = load_scene(name)
         given = {f"solver.{key}": value for key, value in solver.items()}
-        if stops:
-            given["analysis.stop"] = given.pop("solver.stop")
+        if whole.analysis.stop is not None and "stop" in solver:
+            stop = given.pop("solver.stop")
+            late = [key for key, probe in whole.probes.items() if (probe.from_ or 0.0) >= stop]
+            given |= {"analysis.stop": stop} | {f"probes.{key}.from": 0.0 for key in late}
         scene = load_scene(name, given)
         return make_deck(device.built(scene, device.chip(), device.magnets(), others=True))
 
