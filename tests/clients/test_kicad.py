@@ -15,8 +15,8 @@ from support import list_gallery, load_scene, read_raw, write_files, write_symbo
 # changes there, a step, stays below the second number with the first as reltol. The anode of
 # buzzer_self peaks where its transistor switches: 4e-5 below the limit of fine steps at 1e-6, still
 # 7e-6 at 1e-7, and no smaller max_step helps, steps being ten times shorter anyway. alarm_3v has
-# the same transistor. The bridge of loudspeaker_vented overshoots at each edge by 6e-4 more or less,
-# depending on the steps there; no reltol changes that.
+# the same transistor. The bridge of loudspeaker_vented overshoots at each edge by 6e-4 more or
+# less, depending on the steps there; no reltol changes that.
 SETTLED = {
     "pwm_coil": (1e-7, 1e-6), "buzzer_self": (1e-6, 4e-5), "harvester_bridge": (1e-6, 1e-6),
     "alarm_3v": (1e-6, 4e-5), "loudspeaker_vented": (1e-6, 1e-3),
