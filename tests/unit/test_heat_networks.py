@@ -47,11 +47,11 @@ def test_the_ladder_of_a_random_network_is_positive_and_equivalent(seed):
 def test_two_cells_follow_the_closed_form():
     """Z = R1 + R2 at rest, and 1 / (s C1) at high frequencies."""
     ladder = HeatLadder(np.array([2.0, 5.0]), np.array([0.1, 3.0]))
-    poles = np.linalg.eigvals([[-1 / 0.2, 1 / 0.2], [1 / 6.0, -(1 / 6.0 + 1 / 15.0)]])
+    poles = np.linalg.eigvals([[-1 / 0.2, 1 / 0.2], [1 / 6.0, -(1 / 6.0 + 1 / 15.0)]]).real
     times = -1 / poles
     # residues of T1/q at the poles: with the temperatures of the capacities as states
     A = np.array([[-1 / 0.2, 1 / 0.2], [1 / 6.0, -(1 / 6.0 + 1 / 15.0)]])
-    values, vectors = np.linalg.eig(A)
+    values, vectors = map(np.real, np.linalg.eig(A))  # complex in newer versions of numpy
     residues = vectors[0] * np.linalg.solve(vectors, [1 / 0.1, 0.0])
     network = FosterNetwork(residues * -1 / values, times)
     found = network.ladder()
