@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.io import (
-    make_damage_error,
-    parse_certificate,
-    parse_ports,
-    read_arrays,
-    require_certificate,
-    require_single_line,
-    write_archive,
-)
+from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
 from kc2spice.rom.matrix_terms import MatrixTerms
-from kc2spice.rom.parametric import ParameterAxis
+from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
 
 ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
@@ -30,17 +21,9 @@ def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) ->
     Returns the file names, the ``.npz`` first.
     """
     terms = model.terms
-    content = {
-        "ports": list(map(asdict, model.ports)),
-        "certificate": asdict(require_certificate(model.certificate, model.name)),
-        "axes": list(map(asdict, terms.axes)),
-        "defaults": dict(model.defaults),
-        "units": dict(model.units),
-        "descriptions": dict(model.descriptions),
-    }
     arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
     arrays |= {"E": np.array(terms.E), "K": np.array(terms.K)}
-    return write_archive(directory, name, arrays, content)
+    return write_archive(directory, name, arrays, describe_ranges(model))
 
 
 def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
@@ -59,14 +42,8 @@ def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> HeatOverRanges:
     """Make the model from its arrays and its record, which are checked."""
-    from pydantic import TypeAdapter  # imported here, because runs read no such file
-
-    ports = parse_ports(record["ports"])
-    axes = TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"])
-    texts = TypeAdapter(dict[str, str])
-    units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
-    for text in (*units, *units.values(), *words, *words.values()):
-        require_single_line(text, 200)
+    common = parse_ranges(record)
+    ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]
     shapes = {
         "powers": (terms, len(axes)),
@@ -75,10 +52,7 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
         "K": (terms, states, states),
         "B": (states, len(ports)),
     }
-    for key, shape in shapes.items():
-        array = arrays[key]
-        if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
-            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
+    require_finite_arrays(arrays, shapes)
     powers = arrays["powers"]
     if powers.dtype.kind != "i" or np.abs(powers).max(initial=0) > 1:
         raise ValueError("a power is not -1, 0 or 1")
@@ -89,10 +63,6 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
         terms=MatrixTerms(axes, arrays["scales"], powers, **matrices),
         B=arrays["B"],
         exponents=np.zeros((1, len(axes)), int),
-        ports=ports,
-        certificate=parse_certificate(record["certificate"]),
-        defaults=TypeAdapter(dict[str, float]).validate_python(record["defaults"]),
-        units=units,
-        descriptions=words,
         name=name,
+        **common,
     )

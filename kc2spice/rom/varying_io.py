@@ -11,17 +11,10 @@ import numpy as np
 
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.heat_ranges_io import read_heat_over_ranges, write_heat_over_ranges
-from kc2spice.rom.io import (
-    make_damage_error,
-    parse_certificate,
-    parse_ports,
-    read_arrays,
-    require_certificate,
-    require_single_line,
-    write_archive,
-)
-from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
+from kc2spice.rom.parametric import Loss
 from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
 from kc2spice.rom.varying import Varying
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
@@ -38,16 +31,10 @@ def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[st
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
     assert isinstance(model, Varying)  # there are two kinds of models over ranges
-    content = {
-        "ports": list(map(asdict, model.ports)),
-        "certificate": asdict(require_certificate(model.certificate, model.name)),
-        "axes": list(map(asdict, model.axes)),
+    content = describe_ranges(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
         "damped": model.damped,
-        "defaults": dict(model.defaults),
-        "units": dict(model.units),
-        "descriptions": dict(model.descriptions),
     }
     arrays = {key: getattr(model, key) for key in _ARRAY_NAMES}
     return write_archive(directory, name, arrays, content)
@@ -91,14 +78,10 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
     """Make the model from its arrays and its record, which are checked."""
     from pydantic import TypeAdapter  # imported here, because runs read no such file
 
-    ports = parse_ports(record["ports"])
-    axes = TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"])
+    common = parse_ranges(record)
+    ports, axes = common["ports"], common["axes"]
     losses = TypeAdapter(tuple[Loss, ...]).validate_python(record["losses"])
     blocks = TypeAdapter(tuple[int, ...]).validate_python(record["blocks"])
-    texts = TypeAdapter(dict[str, str])
-    units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
-    for text in (*units, *units.values(), *words, *words.values()):
-        require_single_line(text, 200)
     terms, states = np.shape(arrays["diagonal"])
     electrical = sum(port.electrical for port in ports)
     shapes = {
@@ -110,26 +93,17 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
         "shared": (terms, electrical, electrical),
         "rayleigh": (terms, 2),
     }
-    for key, shape in shapes.items():
-        array = arrays[key]
-        if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
-            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
+    require_finite_arrays(arrays, shapes)
     exponents = arrays["exponents"]
     if exponents.dtype.kind != "i" or (exponents.size and not exponents.min() >= 0):
         raise ValueError("an exponent is not a whole number of at least 0")
     if exponents.max(initial=0) > _MAX_DEGREE or sum(blocks) != states or min(blocks) < 1:
         raise ValueError("an exponent or block number is out of range")
     return Varying(
-        ports=ports,
-        axes=axes,
         losses=losses,
         blocks=blocks,
         damped=TypeAdapter(tuple[bool, bool]).validate_python(record["damped"]),
-        certificate=parse_certificate(record["certificate"]),
-        defaults=TypeAdapter(dict[str, float]).validate_python(record["defaults"]),
-        units=units,
-        descriptions=words,
         facts={},
         name=name,
-        **arrays,
+        **(common | arrays),
     )

@@ -1,0 +1,60 @@
+"""What the files of all models over ranges of parameters have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from kc2spice.rom.io import parse_certificate, parse_ports, require_certificate, require_single_line
+from kc2spice.rom.parametric import ParameterAxis
+from kc2spice.rom.ranges import ModelOverRanges
+
+MAX_LABEL_LENGTH = 200  # characters of a unit or a description
+
+
+def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
+    """Return the record of ports, certificate and parameters."""
+    return {
+        "ports": list(map(asdict, model.ports)),
+        "certificate": asdict(require_certificate(model.certificate, model.name)),
+        "axes": list(map(asdict, model.box.values())),
+        "defaults": dict(model.defaults),
+        "units": dict(model.units),
+        "descriptions": dict(model.descriptions),
+    }
+
+
+def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Make ports, certificate and parameters, by their names, from the record of a file.
+
+    Raises
+    ------
+    ValueError : the record is damaged, or a text would begin a new card in a netlist.
+    """
+    from pydantic import TypeAdapter  # imported here, because runs read no such file
+
+    texts = TypeAdapter(dict[str, str])
+    units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
+    for text in (*units, *units.values(), *words, *words.values()):
+        require_single_line(text, MAX_LABEL_LENGTH)
+    return {
+        "ports": parse_ports(record["ports"]),
+        "certificate": parse_certificate(record["certificate"]),
+        "axes": TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"]),
+        "defaults": TypeAdapter(dict[str, float]).validate_python(record["defaults"]),
+        "units": units,
+        "descriptions": words,
+    }
+
+
+def require_finite_arrays(
+    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Require arrays of finite numbers with these shapes; ValueError otherwise."""
+    for key, shape in shapes.items():
+        array = arrays[key]
+        if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
+            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
