@@ -19,12 +19,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from kc2spice.parts.acoustics._acoustic_part import COMPLIANCE, MASS, RESISTANCE, AcousticElement
-from kc2spice.parts.acoustics._radiation_networks import (
-    BAFFLED_PISTON,
-    FREE_PISTON,
-    NetworkSection,
-    RadiationNetwork,
-)
+from kc2spice.parts.acoustics._network_sections import NetworkSection, RadiationNetwork
+from kc2spice.parts.acoustics._radiation_networks import BAFFLED_PISTON, FREE_PISTON
 
 Shape = Literal["baffled_piston", "free_piston", "sphere"]
 SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)

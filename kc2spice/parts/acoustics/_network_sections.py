@@ -1,0 +1,49 @@
+"""Networks of radiation impedances in units of the piston.
+
+Resistances are relative to rho c / S, angular frequencies to c / a, with the radius a and the area
+S of the piston. A section without bandwidth is a resistance parallel to an inductance; the other
+sections are parallel resonators.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class NetworkSection(NamedTuple):
+    """Section of a network: resistance, corner or resonance, and relative bandwidth.
+
+    Parameters
+    ----------
+    resistance : float
+        Resistance relative to rho c / S.
+    frequency : float
+        Corner or resonance frequency, as the product k a.
+    bandwidth : float, default 0
+        Bandwidth of a resonator relative to its resonance frequency; 0 without a capacitance.
+    """
+
+    resistance: float
+    frequency: float
+    bandwidth: float = 0.0
+
+
+class RadiationNetwork(NamedTuple):
+    """Series connection of sections, with its errors.
+
+    Parameters
+    ----------
+    sections : tuple of NetworkSection
+        Sections of the network.
+    largest_ka : float
+        Largest product k a for which the errors hold.
+    impedance_error : float
+        Largest relative error of the impedance.
+    power_error : float
+        Largest relative error of the resistance, which is the error of the radiated power.
+    """
+
+    sections: tuple[NetworkSection, ...]
+    largest_ka: float
+    impedance_error: float
+    power_error: float
