@@ -81,9 +81,13 @@ class FaceOfBody:
     end: float
     count: int = MAX_MODES
 
+    def modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies [Hz] and vectors of the modes in the band."""
+        return compute_lowest_modes(self.device, self.count, self.end)
+
     def motions(self) -> tuple[np.ndarray, FaceMotion]:
         """Return frequencies [Hz] and motions of the modes in the band."""
-        hertz, z = compute_lowest_modes(self.device, self.count, self.end)
+        hertz, z = self.modes()
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     def levels(self, hertz: Sequence[float] | np.ndarray) -> np.ndarray | None:
@@ -151,7 +155,7 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
 
 def level_near(face: FaceOfBody, resonance: float) -> float:
     """Return the level [dB] at the resonance that is nearest to a frequency [Hz]."""
-    hertz, _ = face.motions()
+    hertz, _ = face.modes()
     levels = face.levels(hertz[[np.abs(hertz - resonance).argmin()]])
     return math.nan if levels is None else float(levels[0])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from kc2spice.core.cache import load_or_build
@@ -33,18 +33,19 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         """The full model with its mesh."""
 
-    def support_diameter(self, part: Part[FieldKeysT], node: float | None) -> float | None:
-        """Return the diameter [m] of a ring that supports the body, None without one.
+    def devices_on_rings(
+        self,
+        part: Part[FieldKeysT],
+        scene: GovernedScene,
+        node: float | None,
+        changes: Iterable[float],
+    ) -> tuple[float, list[FiniteElementModel]] | None:
+        """Return the diameter [m] of a supporting ring, and full models on changed rings.
 
-        A free body has the diameter ``node`` of the circle without motion.
+        A free body has the diameter ``node`` of the circle without motion. ``changes`` are those of
+        the diameter, relative to it. The result is None for other supports.
         """
         return None
-
-    def device_on_ring(
-        self, part: Part[FieldKeysT], scene: GovernedScene, diameter: float
-    ) -> FiniteElementModel:
-        """Return the full model on a ring of this diameter [m]."""
-        raise NotImplementedError
 
     def radiations(
         self, part: Part[FieldKeysT], scene: Scene
@@ -82,21 +83,23 @@ class SoundingBody(LinearBody[FieldKeysT]):
         end = float(self.reduction(part, scene).band[1])
         # a transient excites the first resonance most, and its band has no other meaning
         count = MAX_MODES if scene.analysis.small else 1
-        radiation = keys.model_dump(mode="json")
         key: dict[str, Any] = {
             "full": self.full_key(part, scene),
             "port": port,
             "end": end,
             "count": count,
+            "radiation": keys.model_dump(mode="json"),
         }
-        key |= {"radiation": radiation}
 
         def build() -> FaceLevels | None:
             face = FaceOfBody(self.device(part, scene), port, keys, end, count)
             return self._estimate_levels(part, scene, face)
 
-        sources = (*LEVEL_SOURCES, __name__)
-        return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
+        def load() -> FaceLevels | None:
+            sources = (*LEVEL_SOURCES, __name__)
+            return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
+
+        return scene.workspace.get_or_compute(f"{port} of {part.name}", key, load)
 
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: FaceOfBody
@@ -109,12 +112,12 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = estimate_face_levels(face)
         if result is None:
             return None
-        diameter = self.support_diameter(part, result.node)
-        if diameter is None:
+        rings = self.devices_on_rings(part, scene, result.node, (-TOLERANCE, TOLERANCE))
+        if rings is None:
             return result
+        diameter, devices = rings
         level, others = level_near(face, result.resonance), []
-        for change in (-TOLERANCE, TOLERANCE):
-            device = self.device_on_ring(part, scene, diameter * (1 + change))
+        for device in devices:
             others.append(level_near(replace(face, device=device), result.resonance) - level)
         return replace(result, ring=diameter, support=tuple(others))
 

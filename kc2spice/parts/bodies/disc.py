@@ -14,7 +14,7 @@ a layer), silver, solder, wires and air.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise
 from typing import Any, Literal
@@ -274,19 +274,25 @@ class Disc(BondedBody[DiscKeys]):
     def describe_support(self, part: Part[DiscKeys]) -> str:
         return f"support is {part.keys.support}, ideal"
 
-    def support_diameter(self, part: Part[DiscKeys], node: float | None) -> float | None:
-        support = part.keys.support
-        if isinstance(support, Node):
-            return support.node
-        return node if support == "free" else None
-
-    def device_on_ring(
-        self, part: Part[DiscKeys], scene: GovernedScene, diameter: float
-    ) -> FiniteElementModel:
-        node = Node(node=min(diameter, part.keys.largest_diameter))
-        keys = part.keys.model_copy(update={"support": node})
-        faces = self.sounding(part, scene).faces
-        return replace(disc_body(keys, part.name), faces=faces).device()
+    def devices_on_rings(
+        self,
+        part: Part[DiscKeys],
+        scene: GovernedScene,
+        node: float | None,
+        changes: Iterable[float],
+    ) -> tuple[float, list[FiniteElementModel]] | None:
+        keys, faces = part.keys, self.sounding(part, scene).faces
+        diameter = node if keys.support == "free" else None
+        if isinstance(keys.support, Node):
+            diameter = keys.support.node
+        if diameter is None:
+            return None
+        devices = []
+        for change in changes:
+            ring = Node(node=min(diameter * (1 + change), keys.largest_diameter))
+            body = disc_body(keys.model_copy(update={"support": ring}), part.name)
+            devices.append(replace(body, faces=faces).device())
+        return diameter, devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
         return part.keys.support != "free"
