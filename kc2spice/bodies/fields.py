@@ -321,7 +321,8 @@ def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: n
 def write_nodal_values(path: Path, solid: Solid, values: Mapping[str, np.ndarray]) -> None:
     """Write values at the nodes of every element (points, …) to a VTU file.
 
-    Points are numbered element by element, and cells share none.
+    The file repeats a node in each element that contains it, because values can jump between
+    elements.
     """
     import meshio
     from skfem.io.meshio import HEX_MAPPING

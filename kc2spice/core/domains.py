@@ -73,8 +73,8 @@ class Domain:
     the domain whose quantity accelerates the frame of reference of ``across``.
 
     In a domain with a ``path`` every net needs a path to the reference: ``path`` describes it in
-    words, and ``path_part`` is a part type that makes it. Without a path, the net has no operating
-    point; ``adrift`` is the error text.
+    words, and ``path_part`` is a part type that makes it. A net without a path has no operating
+    point. ``adrift`` is the text of the error for such a net.
 
     Examples
     --------

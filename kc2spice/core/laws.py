@@ -193,7 +193,7 @@ class IdealSource:
 
     @property
     def signal(self) -> bool:
-        """Whether the source sets a signal."""
+        """Whether the source sets a signal pin."""
         return self.domain.kind_of_law == SIGNALS.name
 
     @property
@@ -442,9 +442,10 @@ class PortBody(Device):
 
     @cached_property
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Matrices of the loads ``a = load @ e``, of the charges and of the outputs.
+        """Matrices ``load``, ``stored``, ``direct`` and ``answered``, in this order.
 
-        The charges are ``stored @ y`` and the outputs ``out = direct @ e + answered @ y``.
+        With the inputs e and the states y, the loads are ``load @ e``, the charges ``stored @ y``,
+        and the outputs ``direct @ e + answered @ y``.
         """
         n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribes)
         rows = [port for port in self.ports if port.kind != "input"]

@@ -9,7 +9,7 @@ PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: 
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
 LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
-_RATIO_WORDS = "of ", "relative"  # first words of the unit of a ratio
+_RATIO_WORDS = "of ", "relative"  # words with which units of ratios begin
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
 

@@ -431,7 +431,7 @@ class Deck:
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
-        """Return the deck with another main file."""
+        """Return the deck with another tree of its main file."""
         return replace(self, tree=tree, text=Printer().file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:

@@ -223,7 +223,7 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck without the subcircuit of a part and without a new card in its place.
+    """Reject a deck in which the card of a part was deleted and not replaced.
 
     Raises
     ------

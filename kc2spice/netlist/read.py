@@ -36,7 +36,7 @@ from kc2spice.netlist.expression import literal_value
 
 _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
-THERMAL_FLAG = "thermal"  # of a VDMOS of ngspice with pins of temperature (ngspice manual 11.3)
+THERMAL_FLAG = "thermal"  # flag of an ngspice VDMOS with temperature pins (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPENING_BRACKETS = "({["
 _CLOSING_BRACKETS = ")}]"

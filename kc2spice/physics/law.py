@@ -45,7 +45,8 @@ def _input_name(branch: Branch) -> str:
 class DeclaredLaw(Device):
     """The law of a part with ``values`` of its parameters.
 
-    ``tables`` are the functions of its tables and of their derivatives.
+    ``tables`` maps the names in the law to the functions of the part's tables and of their
+    derivatives.
     """
 
     name: str

@@ -1,11 +1,12 @@
 """Linearisation of a circuit at its operating point: response, modes and noise.
 
-The exact motion is that under waveforms of straight lines and sines.
+The motion is exact under waveforms of straight lines and sines.
 
-A linear law with the admittance ``Y`` (through per rate of across) has through quantities of the
-spectral density ``4 k T (Y + Y^H) / 2`` (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34; one
-sided, per Hz). The noise of a body follows from the responses at its ports. The netlist of the
-body contains a noise force of each mode instead.
+The admittance ``Y`` of a linear law is the through quantity divided by the rate of the across
+quantity. Its thermal noise is a through quantity with the one-sided spectral density ``4 k T (Y +
+Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). The noise of a body
+follows from the responses at its ports. The netlist of the body contains a noise force of each mode
+instead.
 """
 
 from __future__ import annotations

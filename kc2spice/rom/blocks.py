@@ -40,7 +40,8 @@ class BlockModel(EqualByContent):
 
     The real square blocks have any size. The ``coupled`` signals w have no states: ``0 = P z + Q u
     + S w``. These inputs close loops, such as waves at the ports of a measured multiport. Without
-    the loops, the blocks have few entries. ``loops`` is ``(F, P, Q, R, S)``, None without loops.
+    the loops, the blocks have few entries. ``loops`` contains the matrices ``(F, P, Q, R, S)``; a
+    model without loops has the value None.
     """
 
     blocks: tuple[np.ndarray, ...]

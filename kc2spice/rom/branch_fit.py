@@ -48,7 +48,7 @@ MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
 PATIENCE = 2  # successive elements below MIN_IMPROVEMENT that end the search
 POOR_PATIENCE = 5  # the same limit while the deviation is above POOR_DEVIATION
-POOR_DEVIATION = 0.2  # relative rms deviation of a part that branches do not describe
+POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
 # fractions of the largest lead resistance from which searches start
 LEAD_SHARES = (1e-3, 0.03, 0.5)
@@ -156,9 +156,9 @@ def _count_parameters(elements: Elements) -> int:
 
 
 def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Select the first sum whose criterion equals the least criterion.
+    """Select the first sum whose criterion is the least one within a tolerance.
 
-    Rounding of the criterion then has no effect.
+    Rounding errors of the criterion therefore do not change the selection.
     """
     values = list(map(samples.criterion, ends))
     good = (

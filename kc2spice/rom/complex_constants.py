@@ -16,8 +16,8 @@ has the loss tangent of the data sheet and no mechanical loss; the clamped body 
 tan delta + (C_T - D) / Q)``. By causality chi and psi are powers of frequency
 (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`), equal to the above at the
 frequency of the stated constants: the frequency of the damping, and 1 kHz for the permittivity.
-Both become sums of relaxations with positive amplitudes, so that every term stores and loses
-energy and the whole is passive as long as its instantaneous capacitance is positive.
+Sums of relaxations approximate chi and psi. Their amplitudes are positive, so each relaxation is
+passive. The model is therefore passive if its instantaneous capacitance is positive.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ DEPENDENT_CONSTRAINT = 1e-12  # size of a dependent constraint, relative to the 
 ZERO_SINGULAR_VALUE = 100.0
 MAX_DESCRIPTOR_STATES = 2000  # states of a descriptor model whose E is split
 MAX_CONSTRAINT_ENTRIES = 5e7  # entries of the constraints as a full matrix
-NEGLIGIBLE_TERM = 1e-10  # relative size of a term that is zero within rounding
+NEGLIGIBLE_TERM = 1e-10  # largest relative rounding error of a zero term
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:

@@ -25,7 +25,7 @@ from kc2spice.rom.network import CircuitBranch
 INSTRUMENT_DEVIATION = 1e-5  # relative rms deviation; instruments are not more accurate
 ROUNDING_FACTOR = 1.5  # accepted deviation as a multiple of the effect of rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
-DEVIATION_FLOOR = 1e-6  # relative deviation that elements need not describe
+DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
 TRIAL_EVALUATIONS = 40  # evaluations of each candidate sum of elements
 CONVERGENCE_TOLERANCE = 1e-12  # relative change of the sum of squares and of the parameters
 # logarithm of a parameter; larger than for any part, within the range of floats

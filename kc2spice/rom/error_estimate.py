@@ -33,7 +33,7 @@ MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
 REFINED_NOTCHES = 60  # deepest minima that each round refines
 ZOOM_FREQUENCIES = 9  # frequencies in a refined interval
 NOTCH_ROUNDS = 20  # rounds of refinement of notches
-EQUAL_FREQUENCY = 1e-12  # relative difference of equal frequencies (rounding error)
+EQUAL_FREQUENCY = 1e-12  # largest relative difference of equal frequencies
 # ratio of neighbours to a minimum, or of a minimum to its interpolation, that indicates a deeper
 # minimum
 MIN_STEEPNESS = 1.5

@@ -31,8 +31,8 @@ from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.interface_split import DENSE, ROUNDING, GivenTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
-FREQUENCIES = 40  # at which heat flows are compared; they are smooth functions of the frequency
-DECADES = 4.0  # of these frequencies below the end of the band
+FREQUENCIES = 40  # number of frequencies at which heat flows, which are smooth, are compared
+DECADES = 4.0  # range of these frequencies, which ends at the end of the band
 REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, shares of the tolerance
 
 

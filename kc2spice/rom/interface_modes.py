@@ -38,8 +38,8 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 
 ATTEMPTS = 6  # tolerances of the unknowns that are tried for the tolerance of heat flows
-SMALLEST_TOLERANCE = 1e-9  # of the unknowns, near rounding errors of solutions
-REFERENCE_TOLERANCE = 1e-4  # of the reference for a model of prescribed order
+SMALLEST_TOLERANCE = 1e-9  # tolerance of the unknowns, near their rounding errors
+REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference if the order is prescribed
 
 
 def reduce_with_interfaces(

@@ -30,7 +30,7 @@ from kc2spice.rom.parametric import Full, ParameterAxis, Values
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
 PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of powers
 CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
-EXACT = 1e-9  # relative difference of an entry that is rounding
+EXACT = 1e-9  # largest relative rounding error of an entry
 NEGLIGIBLE = 1e-12  # share of a term in an entry that is rounding
 LETTERS = "EK"
 

@@ -239,7 +239,7 @@ MAX_RINGING_RATIO = 0.02
 # frequency of a massless mode, relative to the end of the band; lower modes do not respond
 # instantaneously
 MIN_FREQUENCY_RATIO = 2.0
-EQUAL_TIMES_TOLERANCE = 1e-9  # relative difference of equal relaxation times
+EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of equal relaxation times
 # relative limit of a zero singular value: no port moves this combination of modes
 ZERO_SINGULAR_VALUE = 1e-12
 

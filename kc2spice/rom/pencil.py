@@ -50,7 +50,7 @@ class SharedValue(Generic[T]):
         return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
-        """Share the value of ``other``."""
+        """Use the same memory as ``other``: a value that one computes is the value of both."""
         self._values = other._values
 
 
@@ -209,7 +209,8 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     return total
 
 
-# ratio to the reference frequency from which a pole belongs to a massless or algebraic equation
+# Smallest ratio of an infinite pole to the reference frequency. Infinite poles belong to massless
+# or algebraic equations.
 INFINITE_POLE_RATIO = 1e10
 # largest condition of a mass matrix that is inverted, which is ten times as fast as a pencil
 MAX_INVERTED_CONDITION = 1e6
@@ -271,7 +272,7 @@ class Pencil:
 
     @property
     def is_dense(self) -> bool:
-        """Every coefficient is an array."""
+        """Whether all coefficients are dense arrays."""
         return all(isinstance(P, np.ndarray) for P in self.coefficients)
 
     def dense(self) -> Pencil:

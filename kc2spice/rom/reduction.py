@@ -335,8 +335,8 @@ class Reduction:
     def hankel(self) -> np.ndarray:
         """Hankel singular values, in descending order.
 
-        The error of balanced truncation to order q is at most twice the sum of all values from
-        ``hankel[q]`` on, in the largest singular value of the response over all frequencies.
+        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. This error
+        is the largest singular value of the difference of the responses at any frequency.
 
         Raises
         ------

@@ -78,7 +78,7 @@ def select_fewest_states(
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
-    if other and not form:  # a congruence would preserve no property
+    if other and not form:  # a congruence has no advantage without a form to preserve
         return _prefix_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
@@ -150,7 +150,7 @@ def _select_congruence(
 
 
 def _prefix_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """The same basis and order with another beginning of the certificate's text."""
+    """Return basis and order of ``result``, with ``text`` before the origin in the certificate."""
     basis, order = result
     return replace(basis, origin=text), order
 

@@ -153,9 +153,10 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
 
     The least Ritz value x after k steps from a random vector of n numbers exceeds the least
     eigenvalue by more than ``e spread`` with a probability below ``1.648 sqrt(n) exp(-sqrt(e) (2 k
-    - 1))``. With ``e = x / spread`` that is the probability of an eigenvalue below zero. A mass
-    matrix with a unit diagonal has x of about 0.1 and takes some 80 products, a tenth of the time
-    of a factor. False if x is too small for :data:`MAX_LANCZOS_STEPS` steps.
+    - 1))``. For ``e = x / spread``, this is the probability that an eigenvalue is below zero. A
+    mass matrix with a unit diagonal has x of about 0.1. The proof then takes some 80 products, a
+    tenth of the time of a factor. The result is False if x is too small for
+    :data:`MAX_LANCZOS_STEPS` steps.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """

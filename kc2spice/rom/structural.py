@@ -54,7 +54,7 @@ LOWEST_FREQUENCIES = 10.0 ** -np.arange(
 # largest error with relaxations, relative to the error without them, that justifies relaxations
 MAX_ERROR_RATIO = 0.5
 UNCHANGED_SHARE = 0.1  # share of the error limit below which modes are not changed
-REAL_POLE_TOLERANCE = 1e-6  # relative imaginary part of a real pole
+REAL_POLE_TOLERANCE = 1e-6  # largest relative imaginary part of a real pole
 ZERO_DAMPING = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
 MASSLESS_SHARE = 0.5  # share of the tolerance for the removal of masses
 

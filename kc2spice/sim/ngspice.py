@@ -374,7 +374,10 @@ RETRY_SETTINGS = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """Attempt of the simulator as in ``result.json``; ``cause`` is None if the run succeeded."""
+    """Attempt to run the simulator, as ``result.json`` describes it.
+
+    ``cause`` is the reason why the attempt failed, None if it succeeded.
+    """
 
     setting: str
     settings: str

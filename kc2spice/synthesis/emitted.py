@@ -167,8 +167,8 @@ def _model_mass(model: LinearModel, port: Port) -> float:
 def reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
-    The result is the mass of the body if the model contains it. Otherwise the result is the mass of
-    the states, by ``y'' = C A B a`` at high frequency.
+    The result is the fact ``mass_kg`` of the model. If the model lacks this fact, the mass follows
+    from the states: ``y'' = C A B a`` at high frequencies.
     """
     known = model.facts.get("mass_kg")
     if known is not None:

@@ -43,8 +43,8 @@ _MODES_COMMENT = "* Every mode is a thermal resistance in parallel with a heat c
 _SERIES_COMMENT = "* The modes of the port are in series (Foster's form)."
 _COUPLED_COMMENT = """\
 * Ideal transformers connect ports and modes: V(h1) times a factor adds to the temperature of the
-* port, and the heat flow times this factor flows into the node h1. The voltage of node f is the
-* heat flow into the pin (1 V = 1 W)."""
+* port, and the heat flow times this factor flows into the node h1. The voltage of the node fPIN is
+* the heat flow into the pin PIN: 1 V on this node is 1 W."""
 _LADDER_COMMENT = """\
 * Cauer's form: capacities are between the nodes and {base}. The cumulative resistances and
 * capacities along the nodes, from the port on, are the structure function."""

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # F, of a state of a fast mode; one chgtol then corresponds to one tolerance of displacement
 STATE_CAPACITANCE = 1e-6
 STATE_CONDUCTANCE = 1.0  # S, of a massless mode; its capacitance is its relaxation time
-EQUAL_GAIN = 1e-6  # relative difference of the gains of ports that count as equal
+EQUAL_GAIN = 1e-6  # largest relative difference of equal gains of ports
 # Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) does not choose
 # diagonal pivots at an operating point in q and q'/w. It then has 80 times as many fill-ins for 178
 # modes and is 100 times slower (tests/spice/test_realize.py counts them).
@@ -66,11 +66,11 @@ class StepWeights:
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-# for scenes in which the ringing of the body is a result
+# weights for scenes in which the ringing of the body is a result
 RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
-# for scenes with a throw: fewer time points with the same launch velocity
+# weights for scenes with a throw: fewer time points with the same launch velocity
 THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
-# for scenes in which only the motion of thrown parts matters: half the time points
+# weights for scenes in which only the motion of thrown parts matters: half the time points
 COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
 _RESONATORS_COMMENT = """\
 * Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are

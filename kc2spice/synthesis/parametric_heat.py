@@ -53,8 +53,8 @@ _ABOUT = """\
 * At the default values, every mode is a thermal resistance [K/W] in parallel with a heat capacity
 * [J/K]. The change of a parameter changes these values and couples the modes in proportion.
 * Ideal transformers connect ports and modes: V(h1) times a factor adds to the temperature of the
-* port, and the heat flow times this factor flows into the node h1. The voltage of node f is the
-* heat flow into the pin (1 V = 1 W)."""
+* port, and the heat flow times this factor flows into the node h1. The voltage of the node fPIN is
+* the heat flow into the pin PIN: 1 V on this node is 1 W."""
 
 
 def heat_subcircuit_over_ranges(

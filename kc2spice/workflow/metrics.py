@@ -156,7 +156,7 @@ def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | 
 
 
 def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
-    """Return the SI unit of the result of a probe of a wave."""
+    """Return the SI unit of what a probe reads from a wave."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.dc_sweep is not None:
         scale = build.dc_sweep.unit

@@ -62,7 +62,8 @@ def rebuild_with_scene(build: Build, scene: Scene) -> Build:
 def name_subcircuits(scene: Scene) -> dict[str, str]:
     """Return the name of each part's subcircuit.
 
-    If parts of different types use the same name, the names of these parts replace it.
+    Parts of different types may choose the same name. Their subcircuits then have the names of the
+    parts.
     """
     parts = scene.parts.values()
     names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}

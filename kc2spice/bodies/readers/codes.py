@@ -112,9 +112,10 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
-    """Parse rows, columns and values, and whether the lines contain nodes and degrees of freedom.
+    """Parse the rows, columns and values of a matrix.
 
-    Rows and columns are keys of nodes and freedoms, or count from 0.
+    The first result states whether lines contain nodes and degrees of freedom. Rows and columns are
+    then keys of both, otherwise they count from 0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)

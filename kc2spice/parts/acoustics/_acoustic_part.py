@@ -213,7 +213,10 @@ class AcousticPart(PartType[FluidKeysT]):
     def flows_into(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
-        """Return the volume velocities from a node into the elements: signs and waves."""
+        """Return the volume velocities from a node into its elements.
+
+        Each one is the sign and the name of the wave that contains it.
+        """
         result = []
         for item in network.elements:
             wave = f"{part.name}_{item.card_name}.a.through"

@@ -1,8 +1,8 @@
 """Viscous and thermal boundary layers of ducts and cavities as sums of relaxations.
 
 A relaxation ``w / (p + q)`` of the normalised frequency ``q = j omega a^2 / nu`` is a branch of two
-positive elements. The functions of a circular duct with the radius a and of a cavity with the
-ratio a of volume to surface are sums of relaxations with positive weights:
+positive elements. The length a is the radius of a circular duct, or the volume of a cavity divided
+by its surface. These functions are sums of relaxations with positive weights:
 
     flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)
     heat(q)   = 1 - F(q)                                                   (thermal, duct)
@@ -44,8 +44,8 @@ STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
 class Relaxations:
     """Sum of relaxations ``w / (p + q)``, with its errors over the band.
 
-    ``loss_error`` is the largest relative error of the part that dissipates, ``value_error`` that
-    of the magnitude.
+    ``loss_error`` is the largest relative error of the dissipation, and ``value_error`` the largest
+    relative error of the magnitude.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -129,19 +129,19 @@ def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np
 
 
 def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the part that is linear in the weights and dissipates energy.
+    """Return the dissipative part of the function, which is linear in the weights.
 
-    It is the real part of the admittance ``flow`` of a duct, and of the admittances ``q heat`` and
+    This is the real part of the admittance ``flow`` of a duct, or of the admittance ``q heat`` or
     ``q layer``.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
 def _reaction(layer: Layer, value: np.ndarray) -> np.ndarray:
-    """Return the other part of the function."""
+    """Return the part of the function that stores energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
 def _power(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipation for a given flow of a duct, or for a given pressure."""
+    """Return the dissipation at a constant volume velocity of a duct, or at a constant pressure."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

@@ -34,8 +34,8 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
-CORNERS_PER_DECADE = 2  # of the relaxations of walls; the losses are then within 1 %
-LARGEST_SHARE = 0.1  # of a wavelength, in which the pressure is nearly uniform
+CORNERS_PER_DECADE = 2  # relaxations of the walls; the error of the losses is below 1 %
+LARGEST_SHARE = 0.1  # largest dimension in wavelengths at which the pressure is uniform
 # surface of a cube relative to its volume to the power 2/3, and of a sphere, the smallest one
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 

@@ -54,7 +54,7 @@ END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flang
 WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct propagates
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
-FEW_SECTIONS = 10  # up to this number, losses are as accurate as those of a vent
+FEW_SECTIONS = 10  # most sections whose losses are as accurate as those of a vent
 CORNERS_OF_SECTIONS = 1  # corners in each decade of more sections; the losses are within 5 %
 FAR_END = "b"
 FAR_METER = "Vflow_b"

@@ -19,7 +19,7 @@ from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis
 from kc2spice.scene.model import GovernedScene, Part
 
 RANGES_KEY = "rom.parameters"
-MIN_RELATIVE_WIDTH = 1e-3  # relative width of a range
+MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
 
 
 @dataclass(frozen=True)

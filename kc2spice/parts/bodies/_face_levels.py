@@ -21,7 +21,7 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.scene.rows import Neglected
 
-TOLERANCE = 0.01  # relative tolerance of a resonance and of the diameter of a support
+TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a support
 # Largest k a for which the dipole formula holds: there the exact pressure of a rigid disc without a
 # baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
 LARGEST_DIPOLE_KA = 1.5

@@ -314,7 +314,7 @@ stop = "1 kHz"
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
     ) -> Iterator[str | Neglected]:
-        """Yield the place of the air mass on each side of the cone."""
+        """State for each side of the cone which part contains the mass of the air there."""
         load = f"{1e3 * baffle_air_mass(area):.3g} g"
         for side in (FRONT, REAR):
             if side not in sides:
@@ -351,7 +351,7 @@ stop = "1 kHz"
 def _describe_ladder(
     key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
 ) -> str:
-    """Describe size, band and error of a ladder, with frequencies of the band in ``unit`` [Hz]."""
+    """Describe a ladder by its size, band and error; ``unit`` [Hz] is the unit of ``band``."""
     low, high = (f"{unit * end:.3g}" for end in band)
     return (
         f"{key}: a ladder of {len(ladder.corners)} elements from {low} to {high} Hz, whose largest "

@@ -75,7 +75,7 @@ class Kind(NamedTuple):
 
 
 SOURCE_TYPES = {name: Kind(*place) for name, place in QUANTITIES.items()}
-# by inductance and mass; all other quantities are motions and flows
+# Sources whose steps an inductance or a mass smooths. Other sources prescribe motions or flows.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file

@@ -457,8 +457,8 @@ def _extrapolate_release(
 def last_source_change(scene: WiredScene) -> float:
     """Return the time [s] at which the last source stops changing.
 
-    Sources that only enable a controller do not count. The time is infinite without a source, or
-    if a source never stops.
+    Sources that are joined only to controllers are ignored. The time is infinite if no other
+    source changes, or if one of the others never stops.
     """
     ends = []
     for source in scene.of_schema("source", SourceKeys):

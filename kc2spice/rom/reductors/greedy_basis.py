@@ -212,7 +212,7 @@ class _Sketch:
 def _modes(pencil: Pencil) -> np.ndarray:
     """Undamped modes of a small symmetric pencil of second order.
 
-    The result is the unit matrix for other pencils.
+    If the pencil is not symmetric or not of second order, the result is the unit matrix.
     """
     if pencil.degree == 2 and pencil.symmetric:
         K, _, M = pencil.coefficients

@@ -1,4 +1,4 @@
-"""Differences between solutions of a scene: of gates, waves and metrics."""
+"""Differences of gates, waves and metrics between two solutions of a scene."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def list_gate_checks(
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """Return the difference that a gate limits.
 
-    The difference is nan if only one solution has a value. The difference is None if neither
-    solution has a value, such as the launch velocity of a body without a launch.
+    Solutions may lack the value, such as the launch velocity of a body that is not launched. If
+    both lack it, the result is None; if one solution lacks it, the result is nan.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
