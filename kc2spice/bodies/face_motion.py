@@ -1,12 +1,12 @@
-"""Motion of a radiating face: how far it differs from that of a piston, and what this changes.
+"""Difference between the motions of a radiating face and of a piston, and its effect on sound.
 
 An acoustic port represents the face by its volume velocity alone. With the normal velocity v, the
 surface S and the wave number k, a face in an infinite baffle has the far field
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
-On the axis, F is the volume velocity for any shape of the motion. Off the axis, and for the
-radiated power ``int |F|^2 dOmega``, the shape counts; a piston of radius a has
+On the axis, F is the volume velocity for any shape of the motion. Off the axis, F depends on the
+shape, and so does the radiated power ``int |F|^2 dOmega``. A piston of radius a has
 ``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
 
 Without a baffle, the sound of the back cancels that of the front. A thin disc of radius a then
@@ -36,11 +36,11 @@ class FaceMotion:
 
     Attributes
     ----------
-    places : positions (d, points) [m], of a body of revolution radius and height.
+    places : positions (d, points) [m]; radius and height for a body of revolution.
     areas : surface (points,) [m^2] that each point represents.
     normal : displacement (points, motions) along the outward normal.
     axis : unit vector (d,) of the face's mean outward normal.
-    axisymmetric : whether the body is one of revolution.
+    axisymmetric : whether the body is a body of revolution.
     """
 
     places: np.ndarray
@@ -73,7 +73,7 @@ class FaceMotion:
         return np.asarray(first @ (self.places - centre[:, None]))
 
     def far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
-        """Return ``F`` (angles, azimuths, motions) at angles from the axis, by their sines."""
+        """Return ``F`` (angles, azimuths, motions) for the sines of the angles from the axis."""
         if self.axisymmetric:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
         else:
@@ -83,7 +83,7 @@ class FaceMotion:
         return np.asarray(kernel @ (self.areas[:, None] * self.normal))
 
     def power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
-        """Radiated power (motions,) relative to that of a piston of this radius [m].
+        """Ratios (motions,) of the radiated power to that of a piston of this radius [m].
 
         The piston has the same volume velocity; both are in an infinite baffle.
         """
@@ -97,7 +97,7 @@ class FaceMotion:
         return np.asarray(power / (piston * self.volumes**2))
 
     def unbaffled_ratios(self, wave_number: float) -> np.ndarray:
-        """Pressure (motions,) on the axis of a disc without a baffle, relative to that in one.
+        """Ratios (motions,) of the pressure on the axis without a baffle to that in a baffle.
 
         The formula of the module holds for a thin body of revolution and small k a.
         """

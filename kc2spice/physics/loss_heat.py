@@ -21,14 +21,14 @@ from kc2spice.scene.rows import Vector
 
 @dataclass(frozen=True)
 class LossHeat(laws.Device):
-    """Heat flow ``sum weight rate^2`` [W] out of ``heat``, of the rates of its other pins."""
+    """Heat flow ``sum weight rate^2`` [W] out of ``heat``, from the rates of all other pins."""
 
     name: str
     weights: tuple[float, ...]
 
     @property
     def rate_pins(self) -> tuple[str, ...]:
-        """Pins whose rates the losses depend on."""
+        """Pins whose rates determine the losses."""
         return tuple(map("loss{}".format, range(len(self.weights))))
 
     @property

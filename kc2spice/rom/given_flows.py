@@ -9,12 +9,13 @@ the temperatures of the ports ``q`` are
 with the static heat flows ``G``, the static temperatures ``S``, ``c = E_ei + E_ee Psi`` and ``M =
 E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies the terms of Q nearly cancel: the heat flow
 into a body behind a film tends to that of a cold body, ``K_ii T_i``. The error of x therefore does
-not bound the errors of Q and T_q. The unknowns themselves have no such terms:
+not bound the errors of Q and T_q. The original equations have no terms that cancel at high
+frequencies, but terms that cancel at low frequencies:
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
     Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
 
-but cancel at low frequencies. A reduction for the inputs ``K_ei`` and ``E_ei`` is accurate for Q.
+A reduction for the inputs ``K_ei`` and ``E_ei`` is accurate for Q.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
 FREQUENCIES = 40  # number of frequencies at which heat flows, which are smooth, are compared
 DECADES = 4.0  # range of these frequencies, which ends at the end of the band
-REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, shares of the tolerance
+REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, in tolerances
 
 
 def drive_unknowns(
     model: LinearModel, parts: GivenTemperatures, *, stored: bool = True
 ) -> LinearModel:
-    """Return the model of ``T_e`` with the ports ``B_e`` and ``-K_ei`` that act on it.
+    """Return the model of ``T_e`` with the ports ``B_e`` and ``-K_ei``.
 
-    The ports ``E_ei`` are included if ``stored``.
+    If ``stored``, the model also has the ports ``E_ei``.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)
@@ -65,7 +66,7 @@ class FlowReference:
     response : (n, ports, ports) Q and then T_q of the ports, for T_i and then q.
     uncertainty : relative error of the response.
     rounding : (ports, ports) rounding errors of the response.
-    share : smallest size that errors are relative to, as a share of the peak of each entry.
+    share : smallest reference of a relative error, as a share of the peak of each entry.
     """
 
     frequency: np.ndarray
@@ -108,10 +109,10 @@ class FlowReference:
 def _project(
     model: LinearModel, parts: GivenTemperatures, band: tuple[float, float], tolerance: float
 ) -> tuple[LinearModel, GivenTemperatures, float]:
-    """Project a large model to its answers in the band, which are far more accurate than needed."""
+    """Project a large model onto its responses in the band, within a share of the tolerance."""
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
-    assert space.basis is not None  # a large model is never used completely
+    assert space.basis is not None  # a basis of all unknowns occurs only for small models
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))
     V = np.zeros((model.order, n + W.shape[1]))
@@ -129,7 +130,8 @@ def _project(
 def _respond(model: LinearModel, parts: GivenTemperatures, frequency: np.ndarray) -> np.ndarray:
     """Return heat flows and temperatures (n, ports, ports) of a divided model.
 
-    Of two equal forms of the response, that with the smaller terms has the smaller rounding errors.
+    The response has two equivalent forms. At each frequency, the form with the smaller terms is
+    used, because its rounding errors are smaller.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)

@@ -1,4 +1,4 @@
-"""Heat models divided by ports whose temperatures are given.
+"""Heat models, divided into ports with given temperatures and all other unknowns.
 
 :mod:`kc2spice.rom.interface_modes` states the equations. The division is exact.
 """
@@ -28,16 +28,16 @@ def keeps_all_heat(K: sparse.csc_array) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class GivenTemperatures:
-    """A heat model divided by its ports of given temperature.
+    """A heat model, divided into ports with given temperatures and all other unknowns.
 
     Attributes
     ----------
-    at, others : unknowns that are given, and all others.
-    psi : (others, at) static answers to the given temperatures.
+    at, others : unknowns whose temperatures are given, and all other unknowns.
+    psi : (others, at) static responses to the given temperatures.
     shares : (sources, at) static temperatures of the ports q for given temperatures.
     conductance : (at, at) [W/K] static heat flows into the ports of given temperature.
-    stored : (at, at) [J/K] heat that the static answers to given temperatures store.
-    inner : model of the second equation above, with the ports q and then T_i'.
+    stored : (at, at) [J/K] heat that the static responses to given temperatures store.
+    inner : model of x in these equations, with the ports q and then T_i'.
     """
 
     at: np.ndarray
@@ -50,7 +50,7 @@ class GivenTemperatures:
 
 
 def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
-    """Divide a heat model by its ports whose temperatures are ``given``."""
+    """Divide a heat model into the ports ``given`` and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     names = names_of(model.ports)
     of_ports = [names.index(name) for name in given]
@@ -82,7 +82,7 @@ def select_live_ports(model: LinearModel) -> LinearModel:
 
 
 def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
-    """Return a heat model in the coordinates of its modes, in which K is one, and their shapes."""
+    """Return a heat model in modal coordinates, with a unit matrix K, and the mode shapes."""
     K, E = model.pencil.dense().coefficients
     times, shapes = scipy.linalg.eigh(symmetric_part(E), symmetric_part(K))
     modal = LinearModel(

@@ -66,7 +66,7 @@ class ModelOverRanges(ABC):
 
 
 def record_facts(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Return ``full`` as a function that appends the values and facts of its models to a list."""
+    """Wrap ``full`` in a function that also records the values and facts of its models."""
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
     def compute_full(values: Values) -> LinearModel:

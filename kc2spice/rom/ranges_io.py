@@ -1,4 +1,4 @@
-"""What the files of all models over ranges of parameters have in common."""
+"""Records that are common to the files of all models over ranges of parameters."""
 
 from __future__ import annotations
 

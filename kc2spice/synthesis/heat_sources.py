@@ -22,7 +22,7 @@ _COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
-_LEAST_DAMPING = "1p"  # scale of the damping in a quotient, so that zero is no division by zero
+_LEAST_DAMPING = "1p"  # smallest divisor, which prevents a division by zero
 
 
 def meter_cards() -> Iterator[Line]:

@@ -101,7 +101,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
 
 
 def require_impedance(scene: Scene, part: str) -> None:
-    """Raise an error for a part whose impedance the equations of the scene do not give.
+    """Raise an error if the equations of the scene do not determine the impedance of a part.
 
     Raises
     ------
@@ -147,12 +147,12 @@ class CircuitFit:
 
     @property
     def fitted_curves(self) -> list[MeasuredCurve]:
-        """Curves that are not only predicted."""
+        """Curves that the fit uses, without those that are only predicted."""
         return [curve for curve in self.curves if not curve.predict]
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends (keys,) of the logarithms of the absolute values."""
+        """Lower and upper limits (keys,) of the logarithms of the absolute values."""
         ends = np.log(np.abs([[item.low, item.high] for item in self.keys]))
         return ends.min(axis=1), ends.max(axis=1)
 
@@ -183,7 +183,7 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals at the logarithms ``x``, large ones for impossible values."""
+        """Return the residuals at the logarithms ``x``; impossible values have large residuals."""
         try:
             return self.residuals(self.values(x))
         except (UsageError, SimulationError):
@@ -200,7 +200,7 @@ class CircuitFit:
         return np.column_stack(columns)
 
     def solve(self) -> OptimizeResult:
-        """Return the solution of the least squares from the scene's values.
+        """Return the least-squares solution; the search begins at the values of the scene.
 
         Raises
         ------
@@ -290,7 +290,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
 
 
 def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
-    """Return a curve with the relative errors (n,) of its |Z|."""
+    """Return the record of a curve; ``size`` (n,) are the relative errors of |Z|."""
     return {
         "data": Path(curve.data.where).name,
         "set": dict(curve.overrides),
@@ -303,7 +303,7 @@ def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
 def _match_resonances(
     curve: MeasuredCurve, before: np.ndarray, after: np.ndarray
 ) -> list[dict[str, float | None]]:
-    """Return the resonances of the first curve: measured, of the scene and fitted."""
+    """Return the resonances of the first curve, as measured, before and after the fit."""
     data = curve.data
     rows = [find_resonances(data.f, Y, data.noise) for Y in (curve.Y, before, after)]
     names = ("measured_hz", "start_hz", "fitted_hz")

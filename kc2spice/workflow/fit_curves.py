@@ -50,7 +50,10 @@ class CurveListKeys(Section):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """A measured admittance, the overrides of the scene, and whether it is only predicted."""
+    """A measured admittance with the overrides of its scene.
+
+    If ``predict``, the curve is compared with the fit but not fitted.
+    """
 
     data: MeasuredAdmittance
     overrides: Mapping[str, Any] = field(default_factory=dict)

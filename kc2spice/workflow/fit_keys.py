@@ -20,10 +20,10 @@ from kc2spice.workflow.sweep.grid import parse_value
 VALUE_RANGE = 1.3
 LOSS_RANGE = 10.0
 _LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
-# smallest height of a peak, relative to the largest conductance; relative to the noise
+# smallest height of a peak, relative to the largest conductance and to the noise
 MIN_PROMINENCE = 0.005
 MIN_NOISE_RATIO = 8.0
-# standard errors within the parameter range of the netlist; its smallest relative half-width
+# half-width of a parameter range of the netlist: standard errors, and smallest relative value
 RANGE_ERRORS = 2.0
 MIN_HALF_WIDTH = 1.1e-3
 

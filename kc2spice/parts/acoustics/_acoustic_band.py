@@ -7,8 +7,8 @@ from typing import NamedTuple
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import GovernedScene
 
-AUDIO_END = 20e3  # Hz, end of the band of a scene whose sources have no highest frequency
-DECADES = 1e4  # largest ratio of the ends of a band
+AUDIO_END = 20e3  # Hz, end of the band if the sources have no highest frequency
+DECADES = 1e4  # largest ratio of the highest to the lowest frequency of a band
 
 
 class Band(NamedTuple):
@@ -19,7 +19,7 @@ class Band(NamedTuple):
 
 
 def acoustic_band(scene: GovernedScene) -> Band:
-    """Return the band of a scene: that of its ac analysis, or four decades up to its sources."""
+    """Return the band of the ac analysis, or four decades up to the highest source frequency."""
     high = highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.small else 0.0
     return Band(max(start, high / DECADES), high)

@@ -122,11 +122,11 @@ class AcousticPart(PartType[FluidKeysT]):
         """Return the network of a part."""
 
     def ends(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
-        """Return the pins of pressure, except the ambient pressure; the first one has a meter."""
+        """Return all pins of pressure except the ambient pressure; the first pin has a meter."""
         return ("a",)
 
     def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of pins between which a constant volume velocity flows."""
+        """Return the pairs of pins between which a constant volume velocity can flow."""
         return ()
 
     # --- pins and netlist -------------------------------------------------------------------------
@@ -172,7 +172,7 @@ class AcousticPart(PartType[FluidKeysT]):
         yield from self.further_cards(part)
 
     def further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
-        """Yield cards behind those of the network."""
+        """Yield cards that follow the cards of the network."""
         return iter(())
 
     # --- results ----------------------------------------------------------------------------------

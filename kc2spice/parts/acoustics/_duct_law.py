@@ -57,7 +57,7 @@ class DuctLaw(Device):
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
-        """Nodes that are no pins."""
+        """Inner nodes: all nodes except the pins."""
         return tuple(node for node in self.nodes if node not in self.ends)
 
     @cached_property
@@ -94,7 +94,7 @@ class DuctLaw(Device):
 
     @cached_property
     def _drops(self) -> np.ndarray:
-        """Pressure drops of channels and walls (drops, inputs), which their resistances share."""
+        """Matrix (drops, inputs) of the pressure drops along channels and across walls."""
         channels, walls = len(self.channels), len(self.walls)
         width = len(self.ends) + self._stored.size
         result = np.zeros((channels + walls, width))
@@ -108,7 +108,7 @@ class DuctLaw(Device):
 
     @cached_property
     def _through(self) -> np.ndarray:
-        """Volume velocities of channels and walls (drops, inputs)."""
+        """Matrix (drops, inputs) of the volume velocities in channels and into walls."""
         channels, ends = len(self.channels), len(self.ends)
         result = np.zeros(self._drops.shape)
         result[:channels, ends : ends + channels] = np.eye(channels)
@@ -120,7 +120,7 @@ class DuctLaw(Device):
     def _slope(self) -> np.ndarray:
         """Derivative of the outputs (ends + states, inputs)."""
         ends, channels = len(self.ends), len(self.channels)
-        # a drop d = G p of pressures p takes the volume velocities -G' q out of the nodes
+        # pressure drops d = G p with the volume velocities q: the nodes receive -G' q
         result = -self._drops.T @ self._through
         result[:ends] *= -1.0  # into the part
         rows = slice(ends, ends + channels)
@@ -158,7 +158,7 @@ class DuctLaw(Device):
         return stored, lost
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return pressures in series with channels, and flows parallel to walls."""
+        """Return noise pressures in series with channels, and noise flows parallel to walls."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
         out = np.zeros((ends + self._stored.size, sources))

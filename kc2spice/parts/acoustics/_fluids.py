@@ -70,7 +70,7 @@ class FluidTable(Section):
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
-        """Require the specific heat of a fluid with a conductivity."""
+        """Require the key specific_heat if the fluid has a conductivity."""
         if self.conductivity and self.specific_heat is None:
             raise ValueError("conductivity needs the key specific_heat")
         for key, least in (

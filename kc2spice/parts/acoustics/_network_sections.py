@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class NetworkSection(NamedTuple):
-    """Section of a network: resistance, corner or resonance, and relative bandwidth.
+    """Section of a network, with a corner frequency or a resonance.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ class NetworkSection(NamedTuple):
     frequency : float
         Corner or resonance frequency, as the product k a.
     bandwidth : float, default 0
-        Bandwidth of a resonator relative to its resonance frequency; 0 without a capacitance.
+        Bandwidth of a resonator relative to its resonance frequency; 0 for a corner frequency.
     """
 
     resistance: float

@@ -36,7 +36,7 @@ from kc2spice.scene.rows import Neglected
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 CORNERS_PER_DECADE = 2  # relaxations of the walls; the error of the losses is below 1 %
 LARGEST_SHARE = 0.1  # largest dimension in wavelengths at which the pressure is uniform
-# surface of a cube relative to its volume to the power 2/3, and of a sphere, the smallest one
+# surface divided by volume^(2/3) of a cube, and of a sphere, which has the smallest surface
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
 
@@ -59,7 +59,7 @@ class CavityKeys(FluidKeys):
         description="Longest inner dimension; by default the edge of a cube",
     )
     wall_losses: bool = Field(
-        True, description="Whether the walls conduct heat, which is a loss at low frequencies"
+        True, description="Whether the walls absorb heat, which causes losses at low frequencies"
     )
     leak: Annotated[float, si("Pa s/m3")] | None = Field(
         None,

@@ -55,7 +55,7 @@ WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct 
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
 FEW_SECTIONS = 10  # most sections whose losses are as accurate as those of a vent
-CORNERS_OF_SECTIONS = 1  # corners in each decade of more sections; the losses are within 5 %
+CORNERS_OF_SECTIONS = 1  # corners in each decade of longer ducts; the error of losses is below 5 %
 FAR_END = "b"
 FAR_METER = "Vflow_b"
 
@@ -98,11 +98,12 @@ class VentKeys(DuctKeys):
     """Short duct, such as a hole in a housing or a port of a loudspeaker box."""
 
     end_a: End = Field(
-        "flanged", description="Fluid outside of the end a: that of an end with or without a flange"
+        "flanged",
+        description="End correction at the end a: with a flange, without a flange, or none",
     )
     end_b: End = Field(
         "flanged",
-        description="Fluid outside of the end b; none if a part of type radiation is joined there",
+        description="End correction at the end b; none if a part of type radiation is joined there",
     )
 
 
@@ -110,10 +111,10 @@ class TubeKeys(DuctKeys):
     """Long duct, such as a tube of a measurement or a horn of constant cross section."""
 
     end_a: End = Field(
-        "none", description="Fluid outside of the end a: that of an end with or without a flange"
+        "none", description="End correction at the end a: with a flange, without a flange, or none"
     )
     end_b: End = Field(
-        "none", description="Fluid outside of the end b: that of an end with or without a flange"
+        "none", description="End correction at the end b: with a flange, without a flange, or none"
     )
     closed: bool = Field(
         False, description="Whether a rigid wall closes the end b, which then has no pin"
@@ -181,7 +182,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         self._warn_of_double_ends(part, scene)
 
     def _warn_of_double_ends(self, part: Part[DuctKeys], scene: GovernedScene) -> None:
-        """Warn of ends whose outer fluid also belongs to a part of type radiation."""
+        """Warn about end corrections that a joined part of type radiation already contains."""
         for end in self.ends(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]

@@ -42,7 +42,7 @@ from kc2spice.scene.rows import Neglected, Vector
 OUT = "out"  # pin of the sound pressure
 RADIATION = "radiation"  # part type of the sources
 RIGHT_ANGLE = 90.0  # degrees, largest angle in front of a baffle
-LOG_DECADES = 1.3  # decades of frequency from which on a figure has a logarithmic axis
+LOG_DECADES = 1.3  # smallest number of decades for a logarithmic frequency axis
 
 
 class ListenerKeys(Section):
@@ -173,7 +173,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         sources: tuple[Part[RadiationKeys], ...],
         scene: GovernedScene,
     ) -> None:
-        """Warn of a listener in the near field, and of angles that have no effect."""
+        """Warn about a listener in the near field, and about an angle without effect."""
         keys, top = part.keys, highest_frequency(scene)
         limit = min(map(self._largest_frequency, [part] * len(sources), sources))
         if scene.analysis.small and top > limit:
@@ -194,7 +194,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
         """Return the frequency [Hz] up to which the distance exceeds S / wavelength.
 
-        The field of a sphere has no near field of pressure.
+        The pressure of a sphere has no near field.
         """
         if source.keys.shape == "sphere":
             return math.inf
@@ -241,13 +241,13 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
     def law(self, part: Part[ListenerKeys], build: Build) -> laws.Equations:
-        """Return no equations: the pressure follows from those of the sources after the run."""
+        """Return no equations, because the pressure is computed from the sources after the run."""
         return laws.Equations()
 
     def corrected_waves(
         self, part: Part[ListenerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the pressure of an ac analysis with directivity and travel time."""
+        """Return the pressure of an ac analysis, including directivity and travel time."""
         sources = self.radiations(part, build.scene)
         names = [f"{source.name}.{SOUND}" for source in sources]
         if "frequency" not in waves or not set(names) <= set(waves.data):
@@ -332,7 +332,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
 
 def _input_names(count: int) -> tuple[str, ...]:
-    """Return the pins of the sound of each source."""
+    """Return the pin of the sound pressure of each source."""
     return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
 
 

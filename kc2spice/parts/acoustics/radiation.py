@@ -47,7 +47,7 @@ REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound
 
 
 class RadiationKeys(FluidKeys):
-    """Shape and size of a radiating surface, by its radius or its area."""
+    """Shape of a radiating surface, and its radius or area."""
 
     shape: Shape = Field(
         "baffled_piston",

@@ -2,8 +2,8 @@
 
 A part of type ``radiation`` represents the face by a piston with its volume velocity. The effects
 are the shape of the motion, the baffle, and the tolerances of resonance, support and Q factor.
-They are computed from the full model before a simulation, at the resonance of the body with the
-largest level.
+The effects are computed before a simulation from the full model, at the resonance of the body with
+the largest level.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a 
 LARGEST_DIPOLE_KA = 1.5
 MAX_MODES = 6  # number of modes whose shapes are compared with a piston
 HALF_QUALITY = 20 * math.log10(2)  # dB, change of a level at resonance if the Q factor is halved
-# dB, difference of the radiated power from which on a face is not a piston: the tolerance of a
-# sound level meter of class 2 (IEC 61672-1)
+# dB, largest difference of the radiated power without a warning: the tolerance of a sound level
+# meter of class 2 (IEC 61672-1)
 PISTON_TOLERANCE = 1.0
 MIN_PISTON_SHARE = 0.5  # ratio of mean to rms velocity below which a warning is printed
 
@@ -62,7 +62,7 @@ class FaceLevels:
 
     @property
     def total(self) -> float:
-        """Root of the sum of squares of all differences but that without a baffle."""
+        """Root of the sum of squares of all differences except ``unbaffled``."""
         sizes = [self.power, HALF_QUALITY, self.detuned or 0.0]
         sizes.append(max(map(abs, self.support), default=0.0))
         return math.hypot(*sizes)

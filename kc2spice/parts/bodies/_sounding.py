@@ -27,7 +27,7 @@ LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice
 
 
 class SoundingBody(LinearBody[FieldKeysT]):
-    """A body on a mesh whose faces parts of type ``radiation`` represent by pistons."""
+    """Body with a mesh, whose faces can be joined to parts of type ``radiation``."""
 
     @abstractmethod
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
@@ -42,8 +42,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
     ) -> tuple[float, list[FiniteElementModel]] | None:
         """Return the diameter [m] of a supporting ring, and full models on changed rings.
 
-        A free body has the diameter ``node`` of the circle without motion. ``changes`` are those of
-        the diameter, relative to it. The result is None for other supports.
+        The ring of a free body is its circle without motion, which has the diameter ``node``.
+        ``changes`` are relative changes of the diameter. The result is None for other supports.
         """
         return None
 

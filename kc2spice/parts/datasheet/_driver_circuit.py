@@ -50,7 +50,7 @@ def baffle_air_mass(area: float) -> float:
 
 
 class SemiInductance(NamedTuple):
-    """Inductances [H], semi-inductance [H s^-1/2] and shunt resistance [Ohm]; 0 without one."""
+    """Inductances [H], semi-inductance [H s^-1/2] and shunt resistance [Ohm]; 0 if absent."""
 
     leb: float
     le: float
@@ -62,7 +62,7 @@ class SemiInductance(NamedTuple):
 class SpeakerParameters:
     """Parameters of a driver in SI.
 
-    ``mmd`` is the mass without air and None if the area of the cone is not known.
+    ``mmd`` is the mass without air; it is None if the area of the cone is not known.
     """
 
     fs: float
@@ -242,8 +242,8 @@ def motor(
 def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
     """The cone, whose mass has nodes of its own in the netlist of the motor.
 
-    ``air`` [kg] is the part of ``mass`` that is the air load of radiation parts, and ``added`` is
-    fixed to the cone besides.
+    ``air`` [kg] is the share of ``mass`` that joined parts of type radiation contain. ``added``
+    [kg] is a further mass that is fixed to the cone.
     """
     moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
     if air:

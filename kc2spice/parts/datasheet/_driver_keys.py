@@ -33,7 +33,7 @@ Area = Annotated[float, si("m2")]
 
 
 class LoudspeakerKeys(ConductorKeys, NumberedKeys):
-    """Any values of the sheet that determine the driver; further values must agree with these.
+    """Values of a data sheet that determine the driver; further values must agree with them.
 
     ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).

@@ -1,4 +1,4 @@
-"""Efficiency of a loudspeaker: radiated power, from the pressure at a listener, over electrical."""
+"""Efficiency of a loudspeaker: radiated power divided by electrical power."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
         P = angle r^2 |p|^2 / (rho c)
 
     with the solid angle of the radiating surfaces. The formula neglects that large surfaces radiate
-    less off their axis. The result is None unless the scene has one loudspeaker and one listener on
-    the axis of surfaces in one fluid, and in a transient a common period of its drives.
+    less off their axis. The result is None unless the scene has one loudspeaker and one listener,
+    which is on the axis of surfaces in one fluid. In a transient, the sources also need a common
+    period.
     """
     listener, lines = scene.only("listener"), (f"{part.name}.v", f"{part.name}.i")
     if listener is None or scene.only(part.type.name) is None:
@@ -49,7 +50,10 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
 def _average_periods(
     time: np.ndarray, radiated: np.ndarray, electrical: np.ndarray, period: float | None
 ) -> np.ndarray | None:
-    """Return the ratio (1,) of two powers (n,) over the last whole periods, None without one."""
+    """Return the ratio (1,) of two powers (n,) over the last whole periods.
+
+    The result is None without a common period.
+    """
     count = 0 if not period else int(STEADY_SHARE * time[-1] / period)
     if not period or not count:
         return None

@@ -160,8 +160,8 @@ def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndar
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
     """Return the error of every wave that both solutions contain.
 
-    Waves that are zero within rounding errors are left out. The rms is an integral over time, so
-    that closely spaced points at a contact do not weigh more than others.
+    The result excludes waves that are zero within rounding errors. The rms is an integral over
+    time, because a mean over points would overrate the closely spaced points at a contact.
     """
     result = []
     scale = next(iter(exact.data))
