@@ -156,10 +156,12 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
             integer, unit, decimals = number
             message = f"ngspice reads {value} as {integer}{unit}"
             yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{unit}")
-    present = scope.elements_of("l" if part.kind == "k" else "v")
+    kind = "l" if part.kind == "k" else "v"
     for source in map(str.lower, part.sources):
-        if source not in present:
-            yield part.error("no such controlling part", source, _suggest_name(source, present))
+        item = scope.elements_by_key.get(source)
+        if item is None or item.kind != kind:
+            near = _suggest_name(source, scope.elements_of(kind))
+            yield part.error("no such controlling part", source, near)
 
 
 def _list_expressions(card: Card) -> Iterator[str]:
