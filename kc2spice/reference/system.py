@@ -108,7 +108,9 @@ class System:
         return np.array(result, dtype=float).reshape(len(result), *np.shape(t))
 
 
-def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
+def assemble_system(
+    laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], max_unknowns: int | None = None
+) -> System:
     """Join the pins of ``laws`` at nets.
 
     ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind. The net ``gnd`` is the
@@ -116,9 +118,21 @@ def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -
 
     Raises
     ------
-    UsageError : ideal sources contradict each other.
+    UsageError : ideal sources contradict each other, or there are more than ``max_unknowns``.
     """
-    return _Assembly(tuple(laws), joins).reduce()
+    laws = tuple(laws)
+    # no constraint eliminates a state of a device: too many of them need no matrices
+    states = sum(len(law.states) for law in laws if isinstance(law, L.Device))
+    _require_few_unknowns(states, max_unknowns)
+    system = _Assembly(laws, joins).reduce()
+    _require_few_unknowns(system.size, max_unknowns)
+    return system
+
+
+def _require_few_unknowns(count: int, max_unknowns: int | None) -> None:
+    """Raise UsageError if a system has more unknowns than ``max_unknowns``."""
+    if max_unknowns is not None and count > max_unknowns:
+        raise UsageError(f"the circuit has {count} unknowns, more than {max_unknowns}")
 
 
 class _Assembly:

@@ -145,11 +145,11 @@ def _compute_zeros(laws: SceneLaws) -> np.ndarray:
     of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
     if not of or scene.analysis.type != "ac":
         return np.zeros(0, complex)
-    try:
-        for network in laws.networks:
+    for network in laws.networks:
+        try:
             result |= _network_zeros(network, of & network.readings.keys())
-    except (SimulationError, UsageError, np.linalg.LinAlgError):
-        pass
+        except (SimulationError, UsageError, np.linalg.LinAlgError):
+            continue
     if unknown := sorted(of if laws.missing else of - result.keys()):
         warnings.warn(
             f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
@@ -160,10 +160,16 @@ def _compute_zeros(laws: SceneLaws) -> np.ndarray:
 
 
 def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return the zeros of each response ``of`` a network; empty for a large network."""
-    system = assemble_system(network.laws, network.joins) if of else None
-    if system is None or system.size > MAX_UNKNOWNS:
+    """Return the zeros of each response ``of`` a network.
+
+    Raises
+    ------
+    UsageError : the network is too large.
+    SimulationError : the network has no operating point.
+    """
+    if not of:
         return {}
+    system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
     amplitudes = np.array([source.ac for source in system.sources])
     linear = LinearisedSystem(system)
     return {name: linear.zeros(network.readings[name], amplitudes) for name in of}
@@ -177,7 +183,4 @@ def _network_poles(network: Network) -> np.ndarray:
     UsageError : the network is too large.
     SimulationError : the network has no operating point.
     """
-    system = assemble_system(network.laws, network.joins)
-    if system.size > MAX_UNKNOWNS:
-        raise UsageError(f"the circuit has {system.size} unknowns, more than {MAX_UNKNOWNS}")
-    return LinearisedSystem(system).poles
+    return LinearisedSystem(assemble_system(network.laws, network.joins, MAX_UNKNOWNS)).poles

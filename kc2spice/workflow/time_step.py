@@ -169,9 +169,7 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
     from kc2spice.reference.system import assemble_system
 
     try:
-        system = assemble_system(network.laws, network.joins)
-        if system.size > MAX_UNKNOWNS:
-            return None
+        system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
         linear = LinearisedSystem(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None
