@@ -59,7 +59,7 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 class ForceShape:
     """Port of forces; ``weights`` (d nodes,) are the nodal forces of a unit force or pressure.
 
-    ``facets`` are those on which a pressure acts.
+    ``facets`` are the facets on which a pressure acts.
     """
 
     port: Port

@@ -248,8 +248,8 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     The extremes are the largest principal stress, and in piezoelectric materials the largest
     electric field and the largest field against the poling.
 
-    Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
-    linear elasticity grows without bound as the mesh is refined.
+    The function evaluates Gauss points, because the stress of linear elasticity at re-entrant
+    corners and edges of clamps grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
     selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))

@@ -149,7 +149,7 @@ class LocalCompliance(EqualByContent):
 def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     """Compute the compliance of the basis functions on the top of a stack.
 
-    The compliance of their patch is that on the coarse mesh.
+    The compliance of the whole patch is computed on the coarse mesh.
 
     Raises
     ------

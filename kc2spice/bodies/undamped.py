@@ -62,7 +62,7 @@ class UndampedResponses:
     """Responses of a model without damping.
 
     Attributes are displacements (n, …). ``static`` is the response to 1 V at each electrical port.
-    ``pushed`` is the response to 1 N at the first mechanical port, (n, 1), or (n, 0) without one.
+    ``pushed`` (n, 1) is the response to 1 N at the first mechanical port, (n, 0) if none exists.
     ``modes`` are the lowest modes with shorted electrical ports that these loads excite; a body
     without electrical ports has its lowest modes here. ``rigid`` are rigid-body modes. ``facts``
     are numbers by name. ``solve`` applies the inverse of the shifted stiffness.

@@ -212,8 +212,11 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class Tap:
-    """Input of a device: across quantity of ``pin`` minus those of ``minus`` and ``less``, or its
-    rate."""
+    """Input of a device: an across quantity or its rate.
+
+    The across quantities of ``minus`` and ``less`` are subtracted from the across quantity of
+    ``pin``.
+    """
 
     pin: str
     minus: str = ""
@@ -333,7 +336,8 @@ class Device(ABC):
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute noise sources of unit density in ``out`` (k, sources) and in the store.
 
-        The noise is ``4 k T`` times their square; None without noise.
+        The noise is ``4 k T`` times the square of the sources. The result is None for a device
+        without noise.
         """
         return None
 

@@ -186,7 +186,7 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_unmatched_quote(line: str) -> str:
-    """Find a quote without its counterpart; return an empty string without one."""
+    """Return the unpaired kind of quote, empty if no kind or both kinds are unpaired."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""

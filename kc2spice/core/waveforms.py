@@ -139,7 +139,7 @@ ENDLESS_PERIOD = 1e4
 class PulseKeys(Section):
     """Pulse from ``low`` to ``high``, which begins at ``start``.
 
-    The rise and the fall take ``edge`` each. ``width`` is that at half height.
+    The rise and the fall take ``edge`` each. ``width`` is the width at half height.
     """
 
     high: float | str = Field(1.0, description="Value of the pulse, in the unit of the source")

@@ -34,8 +34,8 @@ class PolingTable(EqualByContent):
     where : key of the scene that names the file.
     rows : line number of each row in the file.
     directions : (rows, 3) polings.
-    numbers : (rows,) element numbers of the mesh file, None of points.
-    points : (rows, 2 or 3) coordinates in the unit of the mesh, None of element numbers.
+    numbers : (rows,) element numbers of the mesh file, None if the rows are points.
+    points : (rows, 2 or 3) coordinates in the unit of the mesh, None if the rows are elements.
     """
 
     where: str

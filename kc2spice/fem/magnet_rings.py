@@ -462,9 +462,7 @@ def _coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
 def _compute_subspace(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the currents, and its largest error.
-
-    The error is that at all frequencies.
+    """Compute an orthonormal basis of the currents, and its largest error at all frequencies.
 
     The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every second
     angular frequency of ``speeds``.

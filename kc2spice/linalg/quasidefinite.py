@@ -36,7 +36,7 @@ class Supernode:
     """Supernode of the elimination tree: pivots ``begin`` to ``end``, coupled ``rows`` (m,), and
     parent.
 
-    Numbers are those in the order of elimination. The parent is -1 if there are no rows.
+    Numbers are positions in the order of elimination. The parent is -1 if there are no rows.
     """
 
     begin: int

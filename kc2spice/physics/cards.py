@@ -491,7 +491,7 @@ def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
 
 
 def _sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Pins of a displacement, or the reference for those with a velocity node."""
+    """Pins of a displacement; the reference replaces each pin that has a velocity node."""
     base = declaration.base or b.minus
     plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
     return plus, minus

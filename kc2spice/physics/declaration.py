@@ -381,7 +381,7 @@ class Declaration:
 
     @property
     def heat_branch(self) -> Branch | None:
-        """Branch at the pin of heat, None without one."""
+        """Branch at the pin of heat, None if the part has no such pin."""
         return HEAT_BRANCH if self.heated else None
 
     @property
@@ -469,7 +469,7 @@ class Declaration:
 
     @cached_property
     def acting_branches(self) -> tuple[Branch, ...]:
-        """Branches with a flow through their pins: all but the measured ones."""
+        """Branches with a flow through their pins: all except *measured* branches."""
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property

@@ -346,7 +346,7 @@ def declared_subcircuit(
     tables : mapping of str to TableFunction, optional
         Tables of the declaration and of their slopes.
     pins : sequence of Pin, optional
-        Pins in another order than that of the branches.
+        Pins in the order of the netlist. By default, the branches determine the order.
 
     Returns
     -------

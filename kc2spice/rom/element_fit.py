@@ -153,7 +153,7 @@ Elements = tuple[FitElement, ...]
 class Samples:
     """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and a ``conductance`` [S].
 
-    The conductance is that at zero frequency, if the user states it.
+    ``conductance`` is the conductance at zero frequency, or None if the user does not state it.
     """
 
     f: np.ndarray
@@ -258,9 +258,9 @@ class Samples:
         )
 
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
-        """Convert numbers (n,) to real rows, and append the share of ``dc``.
+        """Convert numbers (n,) to real rows, and append ``dc`` as a share of the conductance.
 
-        The share is that in the stated conductance.
+        The last row is omitted if the conductance has no value or no weight.
         """
         if not self._dc_weight or self.conductance is None:
             return np.concatenate([x.real, x.imag])

@@ -39,7 +39,7 @@ MAX_RESIDUAL = 1e-6  # residual of a pole, relative to the terms of its equation
 
 
 def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """Return the proof that a model is unstable, for an error message; None without proof.
+    """Return the proof that a model is unstable, for an error message; None if unproven.
 
     Parameters
     ----------

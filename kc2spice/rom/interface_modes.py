@@ -8,9 +8,9 @@ the given temperatures,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
 A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``, from
-which the heat flows follow accurately (:mod:`kc2spice.rom.given_flows`). Its basis together with
-``Psi`` is that of the whole model: E and K stay symmetric and positive semi-definite, so that the
-model is passive, and the static answers to given temperatures are exact. (R. R. Craig, M. C. C.
+which the heat flows follow accurately (:mod:`kc2spice.rom.given_flows`). This basis and ``Psi``
+together are a basis of the whole model. E and K stay symmetric and positive semi-definite, so the
+model is passive. The static responses to given temperatures are exact. (R. R. Craig, M. C. C.
 Bampton, AIAA Journal 6 (1968) 1313, for structures.)
 """
 

@@ -123,8 +123,8 @@ class Certificate:
     the band. ``method`` names the estimator. ``above`` states differences beyond the band, which a
     contact excites and which have no bound. The dictionary contains frequencies [Hz] and the
     largest relative difference of the compliance of a mechanical port to a larger model.
-    ``stable`` applies to the full and the reduced model, None without a proof. ``passive`` means
-    that both are proven passive.
+    ``stable`` applies to the full and the reduced model; None means that there is no proof.
+    ``passive`` means that both models are proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -326,8 +326,7 @@ class LinearModel:
         Parameters
         ----------
         states : (states,) or (states, ...) array
-            States, real or complex: of second order in the coordinates of K, of first order in
-            those of A.
+            States, real or complex, in the coordinates of K (second order) or of A (first order).
 
         Returns
         -------

@@ -147,7 +147,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     """List the modes with all electrodes shorted and no load.
 
     The table ends at the end of the certificate's band. Each of ``modes`` has ``frequency_hz``,
-    ``quality`` (None without damping) and ``couplings`` by port, in ``units``.
+    ``quality`` (None if undamped) and ``couplings`` by port, in ``units``.
 
     The coupling of an electrical port is the effective factor ``k = sqrt(C_j / (C_j + C_above))``.
     The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and ``C_above`` is

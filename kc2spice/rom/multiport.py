@@ -103,8 +103,9 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Best passive fit over a range of pole numbers.
 
-    The selected fit has the least deviation, or is the first whose deviation equals that of the
-    fits before passivity was enforced.
+    The search begins with the most accurate fits, and ends at the first passive model that is about
+    as accurate as the best fit before passivity was enforced. If there is no such model, the
+    result is the most accurate passive model.
     """
     fits = _generate_fits(f, S, noise, where)
     result, least = None, np.inf

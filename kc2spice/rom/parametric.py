@@ -354,7 +354,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> Loss | None:
-    """The parameter as a factor of only the damping; None of any other."""
+    """The parameter as a factor of the damping; None if it changes more than the damping."""
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)

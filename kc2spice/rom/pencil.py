@@ -375,9 +375,9 @@ class Pencil:
 
     @property
     def elimination_order(self) -> np.ndarray | None:
-        """Order of elimination of the factor of K, None without a factor.
+        """Order of elimination of the factor of K, None if K was not factorised.
 
-        The order also suits other matrices of the same unknowns.
+        The order also applies to other matrices of the same unknowns.
         """
         factor = self.factors.known
         order = None if factor is None else factor.order

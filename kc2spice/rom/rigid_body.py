@@ -110,7 +110,7 @@ def _split_congruently(
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Select the rigid-body motion, whose response has no bound; None without one."""
+    """Return the rigid-body motion, whose response has no bound; None if there is none."""
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading_model(pencil.free) if pencil.free else None

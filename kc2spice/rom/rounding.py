@@ -44,7 +44,7 @@ def rounding_uncertainty(
 ) -> np.ndarray:
     """Estimate the relative change of a response by rounding of the entries.
 
-    The model is dense. The result is that at each ``frequency`` [Hz].
+    The model is dense. The result is the change at each ``frequency`` [Hz].
 
     ``states`` x (frequencies, n, inputs), and states of the ``dual``, replace the solutions of
     this function if they are more accurate. Entries that are ``zero`` by symmetry count against

@@ -278,7 +278,7 @@ class _Search:
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
-        """Ratio of peaks in the reduction to those with structural damping.
+        """Ratio of the peaks in the reduction to the peaks with structural damping.
 
         Errors count relative to these peaks.
         """

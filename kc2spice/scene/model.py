@@ -358,7 +358,7 @@ class DeclaredScene:
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
     def only(self, *types: str) -> Part | None:
-        """Return the only part of these types, None without exactly one part."""
+        """Return the only part of these types, None if there are no or several parts."""
         result = self.of(*types)
         return result[0] if len(result) == 1 else None
 
@@ -480,8 +480,8 @@ class Scene(WiredScene):
 
     Part types receive one of the base classes at each stage of
     :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts.
-    ``period`` [s] is the common period of all drives, None without one. ``meters`` contains the
-    names of the ammeters at pins. ``names`` contains the names of all other nodes and cards by
+    ``period`` [s] is the common period of all drives, None if they have none. ``meters`` contains
+    the names of the ammeters at pins. ``names`` contains the names of all other nodes and cards by
     ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the file with all
     overrides. ``source`` is the text of the file, in which :meth:`where` searches for keys.
     """
@@ -643,7 +643,7 @@ class Build:
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter_name(self, part: Part, pin: str) -> str | None:
-        """Return the name of the ammeter at a pin, None without a meter."""
+        """Return the name of the ammeter at a pin, None if the pin has no ammeter."""
         return self.scene.meters.get((part.name, pin))
 
     def inner_name(self, part: Part, *words: str) -> str:
@@ -773,7 +773,7 @@ class PartType(Generic[KeysT]):
 
         With ``full``, return a more accurate model of the same class: the full
         :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
-        the scene with it; None without a more accurate model.
+        the scene with this model. The result is None if no model is more accurate.
         """
         return None
 
@@ -920,7 +920,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def law(self, part: Part[KeysT], build: Build) -> Equations | None:
-        """Return the equations of the part for the independent integrator; None without any."""
+        """Return the equations for the independent integrator; None if the part has none."""
         return None
 
     def figures(

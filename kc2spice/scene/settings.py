@@ -392,11 +392,11 @@ class Probe(Section):
 
     ``argmax`` is the place of the largest value on the scale (Hz in ``ac``, s in a transient).
     ``value`` is the value ``at`` a place of the scale. ``frequency`` is the mean rate of cycles
-    over the last half of the run. ``spl`` is the sound pressure level of a pressure in dB: ``at`` a
-    frequency or the largest one of an ac analysis, or that of the rms pressure of a transient, re
-    20 uPa in gases and 1 uPa in liquids. Complex values count by their magnitude. With a window,
-    ``from`` and ``to`` or the last ``periods``, a probe reads only this window, such as a steady
-    state.
+    over the last half of the run. ``spl`` is the sound pressure level in dB re 20 uPa in gases and
+    1 uPa in liquids. In an ac analysis, it is the level ``at`` a frequency or the largest level; in
+    a transient, the level of the rms pressure. Complex values count by their magnitude. With a
+    window, ``from`` and ``to`` or the last ``periods``, a probe reads only this window, such as a
+    steady state.
     """
 
     of: str = Field(

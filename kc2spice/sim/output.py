@@ -334,7 +334,7 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def last_scale_value(path: Path) -> float | None:
-    """Read the scale (time) of the last complete point; None without a point."""
+    """Read the scale (time) of the last complete point; None if there is no point."""
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 

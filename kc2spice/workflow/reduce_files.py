@@ -525,8 +525,9 @@ def _write_reduced_model(
     out: Path | None,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """Write the files of the reduced model, and return its record for ``reduce --json``. The error
-    estimate is that of the emitted circuit.
+    """Write the files of the reduced model, and return its record for ``reduce --json``.
+
+    The record contains the error estimate of the emitted circuit.
 
     Raises
     ------

@@ -308,7 +308,8 @@ class ConvergedRun:
 def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
-    Without a budget, ``checks.reduction`` requests a single estimate. Returns None without either.
+    Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
+    scene has neither of these keys.
     """
     scene, budget = start.build.scene, start.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")

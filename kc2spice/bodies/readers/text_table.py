@@ -311,7 +311,7 @@ def _find_trace_quantity(above: list[str]) -> str:
 
 
 def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
-    """Return the first group of a pattern in the last line that it matches; empty without one."""
+    """Return the first group of a pattern in the last matching line; empty if no line matches."""
     for line in reversed(lines):
         if match := pattern.fullmatch(line[:MAX_HEADER_LENGTH].strip().strip('"')):
             return match[1]
@@ -408,7 +408,7 @@ def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
 
 
 def _find_frequency_column(table: TextTable) -> int | None:
-    """Return the index of the first column with frequencies; None without one."""
+    """Return the index of the first column with frequencies; None if no column has them."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 

@@ -146,9 +146,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield the check of the reduced model's error.
 
-        The checked error is that at the worst frequency of the band. In a transient, the error
-        under the recorded loads replaces it if it is too large or a contact excites modes above the
-        band.
+        The check limits the error at the worst frequency of the band. If this error is too large,
+        or if a contact excites modes above the band, a transient checks the error under the
+        recorded loads instead.
 
         A large pointwise error at a sharp resonance may have no effect under the recorded loads,
         and a small error does not apply to loads above the band. The error under load compares the

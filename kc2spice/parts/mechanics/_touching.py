@@ -264,7 +264,7 @@ class Pair:
 
     @property
     def flank(self) -> float | None:
-        """``sin(g/2)`` of the opening angle g of a groove; None without."""
+        """``sin(g/2)`` of the opening angle g of a groove; None for other shapes."""
         groove = self.keys.groove
         return None if groove is None else math.sin(math.radians(groove) / 2)
 

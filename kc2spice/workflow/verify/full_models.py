@@ -33,7 +33,7 @@ MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which every frequency is solved dir
 
 
 def with_full_models(build: Build, clock: Clock) -> Build | None:
-    """Return ``build`` with full instead of reduced models; None without full models.
+    """Return ``build`` with full instead of reduced models; None if no part has a full model.
 
     In a transient only bodies have full models, which the integrator solves at their ports.
     """
