@@ -123,6 +123,7 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(result)
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
+        """Return the pins of the branches with mass or inertance."""
         d = self.resolved_declaration(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
@@ -150,6 +151,7 @@ class DeclaredPart(PartType[KeysT]):
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
+        """Yield the step of a dc sweep if the declaration is nonlinear."""
         if not self.resolved_declaration(part, scene).linear:
             yield from sweep_numerics(part, scene)
 

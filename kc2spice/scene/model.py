@@ -660,6 +660,12 @@ class PartType(Generic[KeysT]):
 
     Scenes contain ``part = name``, and ``scenes --parts`` prints ``title``. A subclass overrides
     the methods that it needs.
+
+    The class of the argument ``scene`` states when a method is called. A :class:`DeclaredScene`
+    has checked keys, a :class:`GovernedScene` also the parts that others move or copy, and a
+    :class:`JoinedScene` also joins that follow from keys. A :class:`WiredScene` has pins and nets,
+    and a :class:`Scene` the records of all parts. The models exist only in a :class:`Build`.
+    Quantities have SI units.
     """
 
     name: str
@@ -697,7 +703,10 @@ class PartType(Generic[KeysT]):
         return {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the part in the order of its subcircuit."""
+        """Return the pins of the part in the order of its subcircuit.
+
+        Called when the pins are joined to nets. By default the part has no pins.
+        """
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
@@ -715,9 +724,11 @@ class PartType(Generic[KeysT]):
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, State | Governed]:
-        """Return parts whose initial state or motion this part prescribes, or that it copies.
+        """Return the parts that this part governs, keyed by name.
 
-        See :class:`State` and :data:`Governed`.
+        The value is the :class:`State` [m/s, m] in which another part starts, ``"moved"`` if this
+        part prescribes all motion of the other part, or ``"copied"`` if this part writes the cards
+        of the other part itself. Called first, because the methods of other parts depend on it.
         """
         return {}
 
@@ -729,29 +740,39 @@ class PartType(Generic[KeysT]):
         return ()
 
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return data for part types of the same package, in a class of that package.
+        """Return data that other part types of the same package read, in a class of that package.
 
-        The detail follows from keys and from the governed parts. The :class:`Record` of the part
-        contains the detail.
+        An example are the parameters of a loudspeaker, which its box reads. The data follow from
+        keys and from the governed parts. Other parts read ``scene.record(part).detail``.
         """
         return None
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return constraints and loads of the part in equilibrium, before its model is built.
+        """Return what supports and loads the part in equilibrium, before its model is built.
 
-        The constraints and loads concern pins that need a path to their reference. By default the
-        part clamps all of these pins.
+        An operating point exists only if each displacement, temperature or pressure pin has a path
+        to its reference through the parts. The check of the scene searches these paths in the
+        ``paths`` of all parts. By default the part connects each such pin to ground.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
     def directions(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the known unit vectors of translations and accelerations at the pins."""
+        """Return the directions of motion at the pins, keyed by pin.
+
+        A direction is a unit vector (x, y, z) in the frame of the scene. A pin of unknown direction
+        is absent. The directions determine the inertia forces of shaken frames.
+        """
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins at which the part has inertia."""
+        """Return the pins that carry a mass of the part.
+
+        Called if a pin of the part moves with a shaken frame, as on a body with an acceleration
+        port. The part then needs the force ``-m a`` of the frame at these pins
+        (:attr:`follows_frames`). Otherwise the scene is rejected.
+        """
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
@@ -765,7 +786,7 @@ class PartType(Generic[KeysT]):
     # --- models and netlist -----------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
-        """Return the settings of the reduction, None if the model is not reduced."""
+        """Return tolerance, band and norm of the reduction, None if the model is not reduced."""
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
@@ -817,7 +838,11 @@ class PartType(Generic[KeysT]):
         return {}
 
     def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the part sets small signals of an ``ac`` analysis."""
+        """Return whether the part is a source of small signals in an ``ac`` analysis.
+
+        Called when the scene is loaded. If no part drives an ``ac`` analysis, a source of 1 V is
+        added to the only free electrical port.
+        """
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
@@ -829,7 +854,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the supply voltages [V] of the output, infinite without supplies."""
+        """Return the lowest and the highest voltage [V] of the output, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
@@ -845,11 +870,19 @@ class PartType(Generic[KeysT]):
         return None
 
     def rest_with_model(self, part: Part[KeysT], build: Build) -> Rest:
-        """Return constraints and loads of moving pins in equilibrium, for the built model."""
+        """Return what supports and loads the part in equilibrium, after its model is built.
+
+        By default the result of :meth:`at_rest`. A body overrides the method if only its matrices
+        show which motions are constrained.
+        """
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the results of the part, keyed by name.
+
+        A :class:`Vector` is an expression of voltages and currents of the netlist, its factor to SI
+        and its SI unit. Probes, plots and :meth:`metrics` read these results.
+        """
         return {}
 
     def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:

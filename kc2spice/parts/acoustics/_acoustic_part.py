@@ -138,6 +138,7 @@ class AcousticPart(PartType[FluidKeysT]):
         return (*ends, replace(ambient, required=joined))
 
     def at_rest(self, part: Part[FluidKeysT], scene: WiredScene) -> Rest:
+        """Return the pins between which the network passes a steady flow."""
         return Rest(self.paths(part))
 
     def subcircuits(

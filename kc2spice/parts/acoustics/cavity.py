@@ -111,6 +111,7 @@ stop = "2 kHz"
 """
 
     def paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
+        """Return the path of a steady flow, from the opening to the ambient pressure."""
         return (("a", AMBIENT),)
 
     def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -140,6 +141,7 @@ stop = "2 kHz"
         return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
+        """Return the compliance of the volume, its leak and the heat exchange at its walls."""
         keys, walls = part.keys, self._relaxations(part, scene)
         volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
         elements = [volume]

@@ -158,6 +158,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.closed(part) else ("a", FAR_END)
 
     def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
+        """Return the path of a steady flow, from end ``a`` to the other end or a leak."""
         return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -216,6 +217,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return Duct(count, viscous, thermal, phase**2 / 24)
 
     def network(self, part: Part[DuctKeys], scene: GovernedScene) -> AcousticNetwork:
+        """Return the elements of the sections of the duct."""
         duct = self.duct(part, scene)
         elements = tuple(self._list_elements(part, duct))
         words = (

@@ -124,6 +124,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
+        """Join each input to the sound pin of a radiating surface."""
         sources = self.radiations(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_input_names(len(sources)), targets, strict=True))

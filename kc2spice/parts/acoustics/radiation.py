@@ -113,6 +113,7 @@ stop = "20 kHz"
         return (FACE,)
 
     def paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
+        """Return the path of a steady flow, from the surface to the ambient pressure."""
         return ((FACE, AMBIENT),)
 
     def pins(self, part: Part[RadiationKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -134,6 +135,7 @@ stop = "20 kHz"
             )
 
     def network(self, part: Part[RadiationKeys], scene: GovernedScene) -> AcousticNetwork:
+        """Return the elements of the radiation impedance."""
         keys = part.keys
         params = (
             positive_parameter("radius", keys.surface_radius, "m", "radius of the surface"),

@@ -167,12 +167,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return Rest((*fixed, *product([first], others)), inert=inert)
 
     def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
+        """Return the pins of the mechanical ports in use, each of which moves mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
     def surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
+        """Return the mechanical ports that a contact uses; None without mechanical ports."""
         mechanical = names_of(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]

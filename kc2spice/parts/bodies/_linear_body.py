@@ -210,6 +210,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def finer_mesh(
         self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
+        """Compare the model with a model of twice as many elements in each direction."""
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)

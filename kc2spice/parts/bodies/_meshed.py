@@ -101,6 +101,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         """Support of the body in words."""
 
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
+        """Yield the neglected effects of meshes, electrodes and the support."""
         yield from super().neglected(part, scene)
         yield from neglected_effects(
             part.name,
@@ -124,6 +125,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         )
 
     def full(self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
+        """Return the full model of the mesh."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
@@ -285,6 +287,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return replace(bonded, faces=named)
 
     def full_key(self, part: Part[FieldKeysT], scene: GovernedScene) -> Mapping[str, Any]:
+        """Return the data that determine the full model, with the radiating faces."""
         key, faces = super().full_key(part, scene), [*self.sounding(part, scene).faces]
         return {**key, "faces": faces} if faces else key
 
@@ -302,6 +305,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return result
 
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
+        """Return the finite-element model of the blocks."""
         return self.sounding(part, scene).device()
 
     def varied(
@@ -314,9 +318,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return self.bonded(part).rated
 
     def dimensions(self, part: Part[FieldKeysT]) -> int:
+        """Return the number of dimensions of the mesh."""
         return len(self.bonded(part).blocks[0].box)
 
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
+        """Return the outer shape, from which the effects of air are estimated."""
         blocks = self.bonded(part).blocks
         if len(blocks[0].box) == 3:
             return beam_envelope(blocks)

@@ -137,6 +137,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
+        """Yield the effects of each assumption about a radiating face on its level."""
         yield from super().neglected(part, scene)
         if not self.radiations(part, scene):
             return

@@ -223,6 +223,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     structure = staticmethod(bimorph_body)
 
     def describe_support(self, part: Part[BimorphKeys]) -> str:
+        """Describe the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
 

@@ -598,6 +598,7 @@ class Body(MeshedBody[BodyKeys]):
         return result
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
+        """Return the mesh file and the files of poling directions."""
         _poling_paths(part, scene)
         mesh_path(part, scene)
         return (part.keys.mesh, *part.keys.poling_files.values())
@@ -629,19 +630,23 @@ class Body(MeshedBody[BodyKeys]):
         return load_or_build("extent", key, size, sources=self.sources())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
+        """Return the outer box, from which the effects of air are estimated."""
         sides = self.sides(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
         return box_envelope(sides)
 
     def dimensions(self, part: Part[BodyKeys]) -> int:
+        """Return the number of dimensions of the mesh."""
         return 2 if part.keys.axisymmetric else 3
 
     def describe_support(self, part: Part[BodyKeys]) -> str:
+        """Describe the support for the list of neglected effects."""
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
+        """Return the data that determine the full model, with hashes of its files."""
         result = {**super().full_key(part, scene), "file": hash_file(mesh_path(part, scene))}
         for where, path in _poling_paths(part, scene).items():
             result[where] = hash_file(path)
@@ -664,6 +669,7 @@ class Body(MeshedBody[BodyKeys]):
         yield from super().figures(part, build, waves)
 
     def make(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
+        """Return the finite-element model of the mesh file."""
         return device(part.keys, scene.home, part.name)
 
 

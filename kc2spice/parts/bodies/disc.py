@@ -272,6 +272,7 @@ class Disc(BondedBody[DiscKeys]):
     structure = staticmethod(disc_body)
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
+        """Describe the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def devices_on_rings(

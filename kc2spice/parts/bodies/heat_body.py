@@ -277,6 +277,7 @@ dc = "1 W"
         return part.keys.every_port
 
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
+        """Return the mesh file; a stack of layers has none."""
         if part.keys.mesh is None:
             return ()
         mesh_path(part, scene)
@@ -297,6 +298,7 @@ dc = "1 W"
         return Rest(tuple((pin, first) for pin in others))
 
     def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> Rest:
+        """Return the paths of heat, which do not depend on the built model."""
         return build.scene.records[part.name].rest
 
     def least_content(self, scene: Scene) -> float:
@@ -320,11 +322,13 @@ dc = "1 W"
         return {**super().model_key(part, scene), "limited": chosen}
 
     def dimensions(self, part: Part[HeatBodyKeys]) -> int:
+        """Return the number of dimensions of the heat flow, 1 for layers."""
         if part.keys.layers:
             return 1
         return 2 if part.keys.axisymmetric else 3
 
     def full_key(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Mapping[str, Any]:
+        """Return the data that determine the full model, with a hash of the mesh file."""
         result = dict(super().full_key(part, scene))
         if part.keys.mesh is not None:
             result["file"] = hash_file(mesh_path(part, scene))
@@ -340,6 +344,7 @@ dc = "1 W"
         return scene.workspace.get_or_compute(f"device {self.name}", key, make)
 
     def full(self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
+        """Return the full model of the mesh or of the layers."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
@@ -478,6 +483,7 @@ dc = "1 W"
         return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
     def neglected(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
+        """Yield the temperature dependence of the materials and the lateral heat flow."""
         yield from super().neglected(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")

@@ -228,9 +228,11 @@ stop = "100 kHz"
     structure = staticmethod(langevin_body)
 
     def describe_support(self, part: Part[LangevinKeys]) -> str:
+        """Describe the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
+        """Yield the preload of the bolt and the compliance of the joints."""
         yield from super().neglected(part, scene)
         why = "pieces are bonded and free of stress at rest"
         yield Neglected(

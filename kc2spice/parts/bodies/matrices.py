@@ -65,6 +65,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return result
 
     def full_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
+        """Return the data that determine the full model, with hashes of the matrix files."""
         return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
 
     def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
@@ -72,10 +73,12 @@ class Matrices(LinearBody[MatricesKeys]):
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
+        """Return the matrix files and their sidecar, relative to the scene."""
         result = source_files(*self._source(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
     def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
+        """Return the full model from the matrix files."""
         return self._model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:

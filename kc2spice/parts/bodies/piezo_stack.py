@@ -155,6 +155,7 @@ class PiezoStack(MeshedBody[Stack]):
     def expand(
         self, part: Part[Stack], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the source and the driver that the keys of the stack describe."""
         keys: Stack = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -216,6 +217,7 @@ class PiezoStack(MeshedBody[Stack]):
     def surface(
         self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface:
+        """Return the contact rings or the pressure nodes of the top face."""
         if part.keys.poling == "x":
             problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
             raise part.wrong("poling", problem, "x", "poling = z for a stack with a contact")
@@ -264,6 +266,7 @@ class PiezoStack(MeshedBody[Stack]):
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
+        """Yield the largest free stroke, which limits the depth of a contact."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
@@ -271,6 +274,7 @@ class PiezoStack(MeshedBody[Stack]):
             yield Penetration(OVERSHOOT * stroke, why)
 
     def outline(self, part: Part[Stack], scene: Scene) -> Iterator[Shape]:
+        """Yield the side view of the stack."""
         keys = part.keys
         label = f"{part.name}: {1e3 * keys.side:g} mm wide, {1e3 * keys.height:g} mm high, "
         label += f"{keys.layers} layers"
@@ -283,6 +287,7 @@ class PiezoStack(MeshedBody[Stack]):
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
+        """Return the data that determine the full model: chip, rated field, pressure nodes."""
         shape, chip = (
             pressure_nodes(part, scene),
             part.keys.model_dump(mode="json", include=CHIP_KEYS),
@@ -308,6 +313,7 @@ class PiezoStack(MeshedBody[Stack]):
         return Rom(band=(low, high * plain.height / part.keys.height))
 
     def envelope(self, part: Part[Stack], scene: DeclaredScene) -> Envelope:
+        """Return the outer shape, from which the effects of air are estimated."""
         keys = part.keys
         (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
@@ -320,9 +326,11 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def describe_support(self, part: Part[Stack]) -> str:
+        """Describe the support for the list of neglected effects."""
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
+        """Return the finite-element model of the stack."""
         from kc2spice.bodies.stack import make_stack
 
         shape = pressure_nodes(part, scene)

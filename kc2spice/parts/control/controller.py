@@ -125,12 +125,14 @@ wiring = "parallel"
     def inner_names(
         self, part: Part[ControllerKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
+        """Yield the name of the node with the sampled output."""
         yield part.name.lower(), "held"
 
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
     def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, SampledSource]:
+        """Return the source that the Python function sets during the simulation."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:

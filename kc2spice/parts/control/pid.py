@@ -191,6 +191,7 @@ class Pid(PartType[Control]):
     def expand(
         self, part: Part[Control], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the source that enables the controller at its switching times."""
         switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}
@@ -205,6 +206,7 @@ class Pid(PartType[Control]):
         return _terminals(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
+        """Join the inputs to the controlled sphere, and the output to the coils."""
         ball = sphere.controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):

@@ -127,6 +127,7 @@ dc = "1 um"
         return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
+        """Return the initial height of the sensed sphere as the state of the sensor."""
         start = sphere.initial_height(part, "of", build.scene)
         if start is None:
             return {}

@@ -147,6 +147,7 @@ class NumberedPart(PartType[KeysT]):
     """A part whose library is named after its part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
+        """Return the part number as the name of the subcircuit."""
         number = getattr(part.keys, "number", None)
         if not number:
             return super().subcircuit_name(part, scene)
@@ -174,6 +175,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         """Parameters, and equations from them to ``c0`` and to ``lm``, ``cm``, ``rm``."""
 
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
+        """Return the elements of the resonator, for other part types of this package."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:

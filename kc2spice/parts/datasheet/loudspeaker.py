@@ -154,6 +154,7 @@ stop = "1 kHz"
 """
 
     def detail(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
+        """Return the parameters of the loudspeaker, for its box and other parts."""
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
@@ -235,9 +236,11 @@ stop = "1 kHz"
         return moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
+        """Return the pin of the cone, whose mass moves."""
         return ("cone",)
 
     def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Rest:
+        """Return the suspension as a path between cone and frame."""
         return Rest((("cone", "frame"),), inert=("cone",))
 
     def subcircuits(

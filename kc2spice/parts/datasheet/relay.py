@@ -171,6 +171,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def detail(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
+        """Return the times of the relay, for other part types of this package."""
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -212,6 +213,7 @@ pins = { a = "relay.com", b = "gnd" }
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
+        """Yield the requirements of the declaration, and a step that resolves the armature."""
         yield from super().numerics(part, scene)
         times = solve_timing(part)
         yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)

@@ -223,6 +223,7 @@ class Driver(TemplatePart[KeysT]):
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
+        """Return the name of the template if the scene has one such driver."""
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
@@ -266,6 +267,7 @@ class CoilDriver(Driver[KeysT]):
         """Parameters and values of its template for these coils."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
+        """Join the command to the only controller of the scene."""
         control = scene.only("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 

@@ -63,9 +63,11 @@ class Amplifier(Driver[AmplifierKeys]):
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Return the constitutive equations of the circuit."""
         return declare_amplifier(parameters, self.constants["sink"])
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
+        """Return the lowest output voltage and the supply voltage [V]."""
         return self.constants["sink"], part.keys.rail
 
 
@@ -93,9 +95,11 @@ class ChargeDrive(Driver[ChargeKeys]):
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Return the constitutive equations of the circuit."""
         return declare_charge_drive(parameters)
 
     def rails(self, part: Part[ChargeKeys]) -> tuple[float, float]:
+        """Return the negative and the positive supply voltage [V]."""
         return -part.keys.rail, part.keys.rail
 
 
@@ -133,9 +137,11 @@ class HalfBridge(Driver[HalfBridgeKeys]):
     inner_node = "bridge"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Return the constitutive equations of the circuit."""
         return declare_half_bridge(parameters)
 
     def rails(self, part: Part[HalfBridgeKeys]) -> tuple[float, float]:
+        """Return zero and the supply voltage [V]."""
         return 0.0, part.keys.rail
 
 
@@ -158,9 +164,11 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     inner_node = "power"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Return the constitutive equations of the circuit."""
         return declare_linear_drive(parameters, self.constants["sense"])
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
+        """Return the negative and the positive supply voltage [V]."""
         return -part.keys.rail, part.keys.rail
 
     def for_load(
@@ -228,11 +236,13 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[Numerics]:
+        """Return the longest step and the highest frequency of the carrier."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (Numerics(what, 0.1 / f, 1 / edge),)
 
     def highest_frequency(self, part: Part[PwmKeys], scene: DeclaredScene) -> HighestFrequency:
+        """Return the highest relevant frequency [Hz] of the ripple of the carrier."""
         return partial(_ripple_frequency, float(part.keys.frequency))
 
 

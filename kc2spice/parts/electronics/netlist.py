@@ -158,9 +158,11 @@ class Netlist(PartType[NetlistKeys]):
                 yield part.wrong("ratings", "the subcircuit has no such pin", name, ", ".join(pins))
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
+        """Return whether the netlist contains a source of small signals."""
         return _read(part.keys.file, scene.home, _modification_time(part, scene)).excites
 
     def subcircuit_name(self, part: Part[NetlistKeys], scene: Scene) -> str:
+        """Return the name of the user's subcircuit."""
         return str(part.keys.subckt)
 
     def subcircuits(

@@ -204,6 +204,7 @@ class Source(PartType[SourceKeys]):
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
+        """Yield the edges and the period of the waveform."""
         yield from drive_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
@@ -213,13 +214,16 @@ class Source(PartType[SourceKeys]):
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
+        """Return whether the source has an amplitude of small signals."""
         return part.keys.amplitude != 0
 
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
+        """Return the highest relevant frequency [Hz] of the waveform."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
     def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
+        """Return the prescribed difference of the pins, or the constant flow into them."""
         pair = (("out", "ret"),)
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
@@ -244,11 +248,13 @@ class Source(PartType[SourceKeys]):
         return (card.with_unit(kind.value_unit),)
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
+        """Yield the names of the nodes of a sweep that returns to its first value."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
 
     def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, SweptSource]:
+        """Return the source that a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {"dc": SweptSource(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}

@@ -175,6 +175,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
+        """Yield the names of the ammeter, the leak and the noise sources."""
         if is_heated(part, scene):
             return
         n = part.name

@@ -155,6 +155,7 @@ class PatchedPart(DeclaredPart[KeysT]):
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
+        """Join each patch pin to its port of the body."""
         return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
 
 

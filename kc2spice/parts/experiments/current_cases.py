@@ -57,6 +57,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def expand(
         self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the analysis: a dc sweep of the height of the sphere."""
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": LOOKUP_HEIGHTS}
         return {"analysis": sweep}
 
@@ -67,6 +68,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
+        """Return the sphere, which this part moves, and the coils, which it copies."""
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
@@ -91,12 +93,14 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
+        """Yield the names of the nodes and cards of each pair of currents."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k, word in product(range(len(current_pairs(part))), words):
             yield (f"{word}{k}",)
 
     def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, SweptSource]:
+        """Return the source of the height that the dc sweep varies."""
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {

@@ -66,11 +66,13 @@ class PortLoads(PartType[PortLoadsKeys]):
     def expand(
         self, part: Part[PortLoadsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the analysis: a linear frequency sweep of the loads."""
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
     def drives(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
+        """Return True: the loads are the small signals of the analysis."""
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -82,6 +84,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
+        """Return the body, which this part copies once for each load."""
         return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:
@@ -116,6 +119,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
+        """Yield the names of the copies of the body and of their loads."""
         rings = _rings(body_of(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)

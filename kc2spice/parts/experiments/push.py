@@ -53,6 +53,7 @@ class Push(TouchablePart[PushKeys]):
     def expand(
         self, part: Part[PushKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the analysis: a dc sweep of the depth."""
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
@@ -61,6 +62,7 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
+        """Return the sphere, whose position this part prescribes."""
         return {sphere_of(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -76,11 +78,13 @@ class Push(TouchablePart[PushKeys]):
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
     def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, SweptSource]:
+        """Return the source of the depth that the dc sweep varies."""
         return {
             "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
         }
 
     def penetrations(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[Penetration]:
+        """Yield the prescribed depth of the contact."""
         yield Penetration(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
@@ -88,6 +92,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[Numerics]:
+        """Yield the tolerances that resolve the closing of the contact rings."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _pair(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"

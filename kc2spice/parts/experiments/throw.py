@@ -62,6 +62,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
             )
 
     def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
+        """Return the sphere with its initial velocity and height."""
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
@@ -72,6 +73,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     def penetrations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_touching.Penetration]:
+        """Yield the depth of the contact at the impact velocity."""
         ball, speed = sphere_of(part, scene), _impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _touching.impact_penetration(ball, mass, scene, speed, why)

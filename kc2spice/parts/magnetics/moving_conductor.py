@@ -240,6 +240,7 @@ class MovingBody(DeclaredPart[MovingT]):
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
+        """Return the step of a dc sweep over the table of forces."""
         return sweep_numerics(part, scene)
 
     def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -292,6 +293,7 @@ class MovingBody(DeclaredPart[MovingT]):
                 yield part.wrong(where, f"the body touches the {what}", got, expected)
 
     def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
+        """Yield the side view of coils, magnets and the moving body."""
         for name, coil in part.keys.coils.items():
             for side in (-1, 1):
                 label = f"{part.name}: coil {name}, {coil.turns:g} turns" if side > 0 else ""

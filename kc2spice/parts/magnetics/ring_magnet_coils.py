@@ -195,6 +195,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def expand(
         self, part: Part[Coils], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the driver between the controller and the coils."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -222,6 +223,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return Rest(tuple(path for path in clamps if HEAT not in path))
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
+        """Join position and velocity to the pins of the sphere or of the part that moves it."""
         ball = sphere_of(part, scene).name
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
@@ -285,6 +287,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield from impact_penetration(sphere, mass, scene, speed, why)
 
     def outline(self, part: Part[Coils], scene: Scene) -> Iterator[Shape]:
+        """Yield the side view of the magnet and the coils."""
         keys = part.keys
         coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
         rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
@@ -328,6 +331,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def subcircuit_name(self, part: Part[Coils], scene: Scene) -> str:
+        """Return the name of the subcircuit: ``coil`` or the name of the part."""
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name

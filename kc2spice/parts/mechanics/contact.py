@@ -98,6 +98,7 @@ class Contact(DeclaredPart[ContactKeys]):
         )
 
     def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
+        """Join the pins of the contact to the surfaces of its two parts."""
         pair = make_pair(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)

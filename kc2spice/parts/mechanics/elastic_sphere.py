@@ -65,6 +65,7 @@ elastic = true
 """
 
     def dimensions(self, part: Part[ElasticSphereKeys]) -> int:
+        """Return the number of dimensions of the mesh."""
         return 2
 
     def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
@@ -105,6 +106,7 @@ elastic = true
         return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
     def full_key(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Mapping[str, Any]:
+        """Return the data that determine the full model: sphere, mesh, pressure nodes."""
         body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
             "radius": body.radius,
@@ -118,6 +120,7 @@ elastic = true
     def full(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: Clock
     ) -> LinearModel:
+        """Return the full model of the elastic sphere."""
         from kc2spice.bodies.pressure import model_sphere
 
         shape = make_pair(_contact(part, scene), scene).shape
@@ -147,6 +150,7 @@ elastic = true
         return COARSE_WEIGHTS
 
     def neglected(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[Neglected]:
+        """Yield the ringing of the sphere during its free flight."""
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 
@@ -162,6 +166,7 @@ elastic = true
     def _compliance_of(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
+        """Return the contact compliance of the sphere for a set of pressure nodes."""
         from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}

@@ -123,6 +123,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
     def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> Rest:
+        """Return the pins of the mass in equilibrium; its weight acts at ``a``."""
         falls = part.keys.weight and scene.gravity
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
@@ -133,6 +134,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         yield from check_dimensions(part.name, part.keys)
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
+        """Return the initial displacement and velocity of the mass."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}
@@ -142,6 +144,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def surface(
         self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface:
+        """Return the pin of the mass as the contact surface."""
         return Surface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:

@@ -158,6 +158,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def expand(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
+        """Return the elastic sphere, if the keys describe one."""
         if (elastic := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
@@ -192,6 +193,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface:
+        """Return the lower pole of the sphere as the contact surface."""
         keys, carried = part.keys, _elastic_part(part)
         known = keys.material is not None or carried
         modulus = sphere_material(part).indentation_modulus if known else None
@@ -199,20 +201,24 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
     def outline(self, part: Part[SphereKeys], scene: Scene) -> Iterator[Shape]:
+        """Yield the side view of the sphere."""
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
     def governed_parts(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
+        """Return the initial velocity and height of the sphere itself."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
     def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> Rest:
+        """Return the pins of the sphere in equilibrium; its weight acts at ``v``."""
         if _has_prescribed_motion(part, scene):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
     def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
+        """Return zero displacement at t = 0 for a sphere without support."""
         joined = build.scene.joined(part.name, "v")
         if (
             joined
