@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import compress, zip_longest
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -32,12 +31,8 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.fit_curves import MeasuredCurve
-from kc2spice.workflow.fit_keys import (
-    compute_log_widths,
-    find_resonances,
-    is_at_bound,
-)
-from kc2spice.workflow.misfit import WARNING_MISFIT, estimate_covariance, rms_misfit
+from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
+from kc2spice.workflow.misfit import WARNING_MISFIT
 from kc2spice.workflow.models import build_models
 
 MIN_NOISE = 1e-3  # smallest relative noise, below which contacts and temperature matter
@@ -225,31 +220,8 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     UsageError : a key does not change the impedance, or the scene of a curve is not valid.
     """
     keys, solved = problem.keys, problem.solve()
-    names, widths = list(map(attrgetter("key"), keys)), np.array(compute_log_widths(keys))
-    J, values = solved.jac, problem.values(solved.x)
-    unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
-    if unimportant.any():
-        raise UsageError(
-            "this key does not change the impedance",
-            where=", ".join(compress(names, unimportant)),
-            got="a change below the noise of the data",
-            expected="a key that changes the impedance",
-        )
-    misfit = rms_misfit(solved.fun, len(keys))
-    _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    scatter = estimate_covariance(J, solved.fun, widths)
-    sigma = np.sqrt(np.diag(scatter))
-    weak = 4 * max(1.0, misfit) > s * widths.max()
-    parameters = {}
-    for item, deviation in zip(keys, sigma.tolist(), strict=True):
-        value = values[item.key]
-        parameters[item.key] = {
-            "value": value,
-            "sigma": abs(value) * deviation,
-            "low": item.low,
-            "high": item.high,
-            "at_bound": is_at_bound(item, value),
-        }
+    values = problem.values(solved.x)
+    described = describe_values(keys, values, solved.jac, solved.fun)
     responses, rows, sizes = [], [], []
     for curve in problem.curves:
         before = problem.admittance(curve, values_of_part(keys))
@@ -259,28 +231,24 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
         rows.append(_describe_curve(curve, size))
         if not curve.predict:
             sizes.append(size)
-    caution = None
+    misfit, caution = described["misfit"], None
     if misfit > WARNING_MISFIT:
         caution = (
             f"the model does not describe the data: a misfit of {misfit:.1f} times the noise; "
             f"{MISFIT_ADVICE}"
         )
         warnings.warn(f"{where}: {caution}", stacklevel=3)
-    size = np.concatenate(sizes)
+    curve, before, after = responses[0]
     return {
         "part": problem.part,
         "data": where,
-        "parameters": parameters,
+        **described,
         "values": problem.name_scene_keys(values),
-        "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
+        "error": describe_error(np.concatenate(sizes)),
         "curves": rows,
-        "identifiable": not weak.any(),
-        "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
-        "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
         "noise": float(np.median([curve.data.noise for curve in problem.fitted_curves])),
-        "misfit": misfit,
         "caution": caution,
-        "resonances": _match_resonances(*responses[0]),
+        "resonances": match_resonances(curve.data, before, after),
         "starts": [{**values, "cost": float(solved.cost)}],
         "other_minima": 0,
         "models": 0,
@@ -295,16 +263,5 @@ def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
         "data": Path(curve.data.where).name,
         "set": dict(curve.overrides),
         "predict": curve.predict,
-        "rms": float(np.sqrt(np.mean(size**2))),
-        "largest": float(size.max()),
+        **describe_error(size),
     }
-
-
-def _match_resonances(
-    curve: MeasuredCurve, before: np.ndarray, after: np.ndarray
-) -> list[dict[str, float | None]]:
-    """Return the resonances of the first curve, as measured, before and after the fit."""
-    data = curve.data
-    rows = [find_resonances(data.f, Y, data.noise) for Y in (curve.Y, before, after)]
-    names = ("measured_hz", "start_hz", "fitted_hz")
-    return [dict(zip(names, row, strict=True)) for row in zip_longest(*rows)]

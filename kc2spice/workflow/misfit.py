@@ -45,6 +45,17 @@ def rms_misfit(residuals: np.ndarray, keys: int) -> float:
     return float(np.sqrt(residuals @ residuals / max(len(residuals) - keys, 1)))
 
 
+def noise_ratio(residuals: np.ndarray, keys: int) -> float:
+    """Return the ratio of the residuals to the noise, at least 1; arguments as :func:`rms_misfit`.
+
+    Examples
+    --------
+    >>> noise_ratio(np.array([0.5, -0.5, 0.5, -0.5]), 2)
+    1.0
+    """
+    return max(1.0, rms_misfit(residuals, keys))
+
+
 def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
     """Return the covariance (k, k) of the fitted values, or of their logarithms as in J.
 
@@ -52,14 +63,14 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     ----------
     J : (2 n, k) array
         Derivatives of the residuals with respect to the values.
-    residuals : (2 n,) array Residuals at the end of the fit, real parts of n frequencies before
-    imaginary parts.
+    residuals : (2 n,) array
+        Residuals at the end of the fit, real parts of n frequencies before imaginary parts.
     widest : (k,) array
         Ranges of the values; no standard error of the jackknife is larger.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     more = rms_misfit(residuals, J.shape[1])
-    noise = max(1.0, more) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
+    noise = noise_ratio(residuals, J.shape[1]) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
     if more < MODEL_ERROR_MISFIT:
         return np.asarray(noise)
     bands = np.array_split(np.arange(len(residuals) // 2), BAND_COUNT)
@@ -89,7 +100,8 @@ def find_likely_cause(
     ----------
     J : (2 n, k) array
         Derivatives of the residuals with respect to the values.
-    residuals : (2 n,) array Residuals at the end of the fit.
+    residuals : (2 n,) array
+        Residuals at the end of the fit.
     causes : mapping
         For each cause, the most frequent first, the change (n,) of the logarithm of the admittance
         per amount, which is positive.

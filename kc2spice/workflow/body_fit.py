@@ -1,0 +1,270 @@
+"""Model of a body in the fit to its measured impedance.
+
+The full model is a finite-element model at values of the keys. All models of one fit have the nodes
+of one mesh, which are displaced if the geometry varies, so that the admittance is a smooth function
+of the keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
+
+import numpy as np
+import scipy
+
+from kc2spice.bodies.device import add_rayleigh_damping
+from kc2spice.bodies.readers.measured import MeasuredAdmittance
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock, Progress
+from kc2spice.fem.body_keys import Damping
+from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
+from kc2spice.parts.bodies._box import VariedKey
+from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.rom.complex_constants import ComplexConstants
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.modal import clamped_tangent, permittivity
+from kc2spice.rom.parametric import (
+    ParameterAxis,
+    Parametric,
+    modal_projection,
+    modal_transfer,
+    reduce_over_parameters,
+)
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.response import Response
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
+
+# smallest relative noise: the error of the mesh, which may exceed the noise of the data
+MIN_NOISE = 1e-3
+DIFFERENCE_STEP = 1e-5  # step of finite differences, in logarithms of values
+STATIC_FREQUENCY_RATIO = 1e-3  # static frequency, relative to the lowest frequency of the data
+LOSS_TANGENT_KEY = "damping.loss_tangent"  # no finite-element model contains this key
+DAMPING_KEYS = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
+LOSS_FACTORS: dict[str, Callable[[float], float]] = {
+    "damping.quality": lambda value: 1 / value,
+    "damping.ratio": lambda value: 2 * value,
+    "damping.loss_factor": lambda value: value,
+}
+MIN_MODE_SHARE = 1e-3  # smallest capacitance of an excited mode, relative to the largest
+CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
+VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
+Box = dict[str, ParameterAxis]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFit:
+    """Body with its keys, the measurement, and the scene that defines the mesh.
+
+    ``like`` is that scene. ``counted`` is the number of finite element models.
+    """
+
+    scene: Scene
+    part: str
+    data: MeasuredAdmittance
+    keys: Sequence[VariedKey]
+    progress: Progress
+    like: Scene
+    counted: list[int] = field(default_factory=lambda: [0])
+    last: dict[object, LinearModel] = field(default_factory=dict)
+
+    @property
+    def Y(self) -> np.ndarray:
+        """Measured admittance (n,) [S]."""
+        return self.data.Y[:, 0, 0]
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the real and of the imaginary part of log Y."""
+        return max(self.data.noise, MIN_NOISE)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequency range of the data [Hz]."""
+        return float(self.data.f[0]), float(self.data.f[-1])
+
+    def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
+        """Return the full model at values of the keys, and its first electrical port.
+
+        The model has a new mesh, or with ``moved`` the mesh of ``like`` with displaced nodes.
+
+        Raises
+        ------
+        UsageError : the part has no electrical port.
+        """
+        try:
+            loaded = load_scene(self.scene, self.name_scene_keys(values))
+        except UsageError as error:
+            raise UsageError(
+                "the ranges contain values that the part cannot have",
+                where=", ".join(map(attrgetter("key"), self.keys)),
+                got=error.message if error.got is None else f"{error.message}: {error.got}",
+                expected="ranges of possible parts",
+                hint="write a narrower range: --vary KEY=LOW:HIGH",
+            ) from None
+        part = loaded.part(self.part, where=self.part)
+        assert isinstance(part.type, LinearBody)  # required before the fit
+        rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
+        key, damping = (id(self.like) if moved else 0, *rest.items()), damping_of(part)
+        if key in self.last and not damping.per_material:
+            return add_rayleigh_damping(self.last[key], damping)
+        self.counted[0] += 1
+        self.progress("fit", None, f"finite element model {self.counted[0]}")
+        if moved:
+            like = self.like.part(self.part, where=self.part)
+            model = part.type.varied(part, loaded, Clock(), like)
+        else:
+            model = part.type.full(part, loaded, Clock())
+        electrical = [port.name for port in model.ports if port.electrical]
+        if not electrical:
+            raise UsageError(
+                "this part has no electrodes, so it has no impedance",
+                where=self.part,
+                expected="a piezoelectric part",
+            )
+        model = replace(model.select(electrical[:1]), name=self.part)
+        self.last.clear()
+        self.last[key] = model
+        return model
+
+    def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values of the keys by the dotted names that they have in the scene."""
+        return {f"{self.part}.{key}": value for key, value in values.items()}
+
+    def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the admittance (n,) [S] of the full model."""
+        model = self.full(values, moved=False)
+        pencil = modal_projection(model, float(self.data.f[-1]))
+        if self.damping.model == "ieee176":
+            return self.complex_constants_response(pencil, values)
+        charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
+        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
+
+    @property
+    def damping(self) -> Damping:
+        """Losses of the scene's part."""
+        return damping_of(self.scene.part(self.part))
+
+    def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
+        """Return the admittance (n,) [S] of a small model with complex constants of IEEE 176.
+
+        The real part of the stiffness equals the stiffness of the scene at the frequency of the
+        damping, or at the lowest resonance that the voltage excites.
+        """
+        omega, gain, lowest = self.modes(pencil)
+        at = self.damping.frequency(lowest)
+        assert at is not None
+        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
+        losses = ComplexConstants(self.loss_factor(values), tangent, at)
+        f, electrical = self.data.f, np.array([True])
+        H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
+        return np.asarray(2j * np.pi * f * H)
+
+    def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return angular frequencies (n,) and gains (n, 1) of the modes of a small model.
+
+        The third value is the lowest resonance [Hz] that the voltage excites.
+        """
+        K, _, M = pencil.dense().coefficients
+        squares, shapes = scipy.linalg.eigh(K, M)
+        rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
+        omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
+        gain = shapes.T @ pencil.B
+        share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
+        return omega, gain, float(omega[share > MIN_MODE_SHARE * share.max()].min() / (2 * np.pi))
+
+    def viscous_response(
+        self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
+    ) -> np.ndarray:
+        """Return the admittance (n,) [S] with damping in proportion to the stiffness.
+
+        The Q factor at the lowest excited resonance follows from the values.
+        """
+        at = self.damping.frequency(self.modes(pencil)[2])
+        assert at is not None
+        damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
+        charge = modal_transfer(damped, self.frequencies)[:, 0, 0]
+        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
+
+    def loss_factor(self, values: Mapping[str, float]) -> float:
+        """Return ``1 / Q`` at values of the keys."""
+        known = {name: values[name] for name in LOSS_FACTORS if name in values}
+        if not known:
+            return 2 * self.damping.zeta
+        ((name, value),) = known.items()
+        return LOSS_FACTORS[name](value)
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Frequencies (n + 1,) [Hz]: one near zero, then the frequencies of the data."""
+        return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
+
+    def lossy_admittance(
+        self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
+    ) -> np.ndarray:
+        """Return the admittance (n,) [S] with the loss of the dielectric.
+
+        ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
+        """
+        f, charge, free = self.data.f, charge[1:], float(charge[0].real)
+        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
+        if tangent:
+            loss = permittivity(f, clamped_tangent(tangent, free / clamped - 1)) - 1
+            charge = charge + clamped * loss
+        return np.asarray(2j * np.pi * f * charge)
+
+    def log_admittance_changes(
+        self, values: Mapping[str, float], Y: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by cause.
+
+        The causes are effects that the scene may lack: losses that are not varied, and the leads
+        of the measurement.
+        """
+        model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
+        clamped = w * float(model.D[0, 0])
+        names = set(map(attrgetter("key"), self.keys))
+        result: dict[str, np.ndarray] = {}
+        if LOSS_TANGENT_KEY not in names:
+            result[f"loss of the dielectric: vary {LOSS_TANGENT_KEY}"] = clamped / Y
+        if model.rayleigh is not None and not names & DAMPING_KEYS:
+            alpha, beta = model.rayleigh
+            for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
+                scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
+                charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
+                other = self.lossy_admittance(charge, float(model.D[0, 0]), values)
+                result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
+        if not self.damping.per_material:
+            pencil = modal_projection(model, float(self.data.f[-1]))
+            if self.damping.model == "rayleigh":
+                result[CONSTANT_Q_CAUSE] = np.log(
+                    self.complex_constants_response(pencil, values) / Y
+                )
+            else:
+                result[VISCOUS_CAUSE] = np.log(self.viscous_response(model, pencil, values) / Y)
+        result |= {
+            "resistance in series, of leads or electrodes: compensate the fixture": -Y,
+            "inductance of leads: compensate the fixture": -1j * w * Y,
+            "a stray capacitance in parallel: compensate the fixture": 1j * w / Y,
+            "less capacitance than the model has: vary the permittivity or an area": -1j * w / Y,
+            "a leak in parallel: clean the part, or compensate the fixture": 1 / Y,
+        }
+        return {name: column / self.noise for name, column in result.items()}
+
+    def response(self, reduced: Parametric, values: Mapping[str, float]) -> np.ndarray:
+        """Return the admittance (n,) [S] of a reduced model."""
+        model = reduced.at(values)
+        if self.damping.model == "ieee176":
+            return self.complex_constants_response(model.pencil, values)
+        H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
+        return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
+
+    def reduce(self, box: Box, degree: int | None = None) -> Parametric:
+        """Return the reduced model of a parameter range."""
+        constant = {LOSS_TANGENT_KEY}
+        if self.damping.model == "ieee176":
+            constant |= LOSS_FACTORS.keys()
+        axes = [axis for name, axis in box.items() if name not in constant]
+        return reduce_over_parameters(self.full, axes, self.band, degree=degree)

@@ -1,0 +1,198 @@
+"""Descents of the fit of a body: least squares of reduced models, corrected by the full model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from operator import attrgetter
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import qmc
+
+from kc2spice.core.errors import UsageError
+from kc2spice.parts.bodies._box import VariedKey, values_of_part
+from kc2spice.rom.parametric import ParameterAxis, Parametric
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, Box
+from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
+from kc2spice.workflow.misfit import noise_ratio
+
+# number of random samples of the ranges; number of descents, the first from the values of the scene
+RANDOM_SAMPLES = 64
+DESCENT_COUNT = 4
+# ratio of successive widths of a range; smallest logarithmic width
+RANGE_RATIO = 0.25
+MIN_LOG_WIDTH = 0.01
+POLYNOMIAL_DEGREE = 3  # degree of polynomials in a narrow parameter range
+RANGE_COUNT = 8  # successive ranges
+MESH_CORRECTIONS = 4  # mesh corrections in each range
+CONVERGED_CHANGE = 0.1  # largest remaining change of the values due to the mesh, in standard errors
+
+
+@dataclass(frozen=True, eq=False)
+class DescentResult:
+    """Result of a descent.
+
+    Values, the linearised problem at these values, and the parameter range.
+    """
+
+    values: dict[str, float]
+    solved: OptimizeResult
+    box: Box
+    exact: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def cost(self) -> float:
+        """Half of the sum of squares."""
+        return float(self.solved.cost)
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Least squares of a reduced model within its parameter ranges.
+
+    The variables are logarithms of the values. ``degree`` is the degree of the polynomials in the
+    parameters; by default the reduction chooses it.
+    """
+
+    body: BodyFit
+    box: Box
+    degree: int | None = None
+
+    @cached_property
+    def reduced(self) -> Parametric:
+        """Reduced model of the parameter ranges."""
+        return self.body.reduce(self.box, self.degree)
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends (keys,) of the logarithms of the absolute values."""
+        ends = np.log(np.abs([[axis.low, axis.high] for axis in self.box.values()]))
+        return ends.min(axis=1), ends.max(axis=1)
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """Return the values of the keys at the logarithms ``x`` (keys,), clipped to the range."""
+        signs = np.sign(list(map(attrgetter("low"), self.box.values())))
+        values = signs * np.exp(np.clip(x, *self.bounds))
+        return dict(zip(self.box, values.tolist(), strict=True))
+
+    def deviation(self, x: np.ndarray) -> np.ndarray:
+        """Return :meth:`log_ratio` (2 n,) of the reduced model at the logarithms ``x``."""
+        return self.log_ratio(self.body.response(self.reduced, self.values(x)))
+
+    def log_ratio(self, Y: np.ndarray) -> np.ndarray:
+        """Return real and imaginary part (2 n,) of log(Y / measurement), over the noise."""
+        ratio = np.log(Y / self.body.Y)
+        return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2 n, keys) by central differences, one-sided at a bound."""
+        low, high = self.bounds
+        columns = []
+        for k in range(len(x)):
+            ends = np.tile(x, (2, 1))
+            ends[:, k] = np.clip(
+                x[k] + np.array([-DIFFERENCE_STEP, DIFFERENCE_STEP]), low[k], high[k]
+            )
+            change = self.deviation(ends[1]) - self.deviation(ends[0])
+            columns.append(change / (ends[1, k] - ends[0, k]))
+        return np.column_stack(columns)
+
+    def start(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the logarithms (keys,) of values, clipped to the range."""
+        return np.clip(np.log(np.abs(list(map(values.__getitem__, self.box)))), *self.bounds)
+
+    def solve(self, values: Mapping[str, float]) -> DescentResult:
+        """Return the result of a descent that starts at ``values``."""
+        solved = least_squares(
+            self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
+            x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
+        )  # fmt: skip
+        return DescentResult(self.values(solved.x), solved, self.box)
+
+
+def descend(descent: Descent) -> list[DescentResult]:
+    """Return the results of all descents in the full ranges, the best first."""
+    low, high = descent.bounds
+    draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
+    costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
+    best = map(descent.values, draws[np.argsort(costs)[: DESCENT_COUNT - 1]])
+    starts = [values_of_part(descent.body.keys), *best]
+    return sorted(map(descent.solve, starts), key=attrgetter("cost"))
+
+
+def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
+    """Correct the result of a descent by the residual of the full model.
+
+    Each step uses the derivatives of the reduced model. The steps end when they change every
+    combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error. The result is
+    None if the steps do not converge within the range.
+    """
+    body, (low, high) = descent.body, descent.bounds
+    x = descent.start(end.values)
+    for _ in range(MESH_CORRECTIONS):
+        values = descent.values(x)
+        exact = body.full_admittance(values)
+        left, J = descent.log_ratio(exact), descent.jacobian(x)
+        result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
+        free = np.array([not is_at_bound(item, values[item.key]) for item in body.keys])
+        U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
+        excess = noise_ratio(left, J.shape[1])
+        pull = np.where(s * max(compute_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
+        if np.abs(pull).max(initial=0.0) < CONVERGED_CHANGE * excess:
+            return DescentResult(values, result, end.box, exact)
+        x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
+        if (x < low).any() or (x > high).any():
+            break
+    return None
+
+
+def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
+    """Refine the result of a descent until the full model fits.
+
+    If the derivatives of the reduced model do not lead to the solution, models of narrower ranges
+    follow.
+
+    Raises
+    ------
+    UsageError : the values do not converge.
+    """
+    body = descent.body
+    widths = 0.5 * np.array(compute_log_widths(body.keys)) * RANGE_RATIO
+    for _ in range(RANGE_COUNT):
+        result = _correct_end(descent, end)
+        if result is not None:
+            return result
+        # the scene at these values has a mesh without displaced nodes
+        body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
+        box = {}
+        for item, half in zip(body.keys, widths.tolist(), strict=True):
+            box[item.key] = _narrow_range(item, end.values[item.key], half)
+        descent = Descent(body, box, POLYNOMIAL_DEGREE)
+        end = descent.solve(end.values)
+        if not any(
+            _is_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys
+        ):
+            widths = np.maximum(RANGE_RATIO * widths, MIN_LOG_WIDTH)
+    raise UsageError(
+        "the fit does not converge",
+        where=body.data.where,
+        got=f"values of mesh and reduced model that differ after {RANGE_COUNT} rounds",
+        expected=f"within {CONVERGED_CHANGE:g} standard errors",
+        hint="vary fewer keys, or give narrower ranges",
+    )
+
+
+def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
+    """Return the part of a key's range within a factor ``exp(half)`` of a value."""
+    ends = sorted((value * np.exp(-half), value * np.exp(half)))
+    return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
+
+
+def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
+    """Return whether a value is at an end of a narrow range, inside the key's full range."""
+    x = axis.coordinate(value)
+    end = axis.high if x > 0 else axis.low
+    return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

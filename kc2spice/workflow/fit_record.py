@@ -1,0 +1,91 @@
+"""Rows of a fit's record: values with standard errors, and resonances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import compress, zip_longest
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from kc2spice.bodies.readers.measured import MeasuredAdmittance
+from kc2spice.core.errors import UsageError
+from kc2spice.parts.bodies._box import VariedKey
+from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound
+from kc2spice.workflow.misfit import estimate_covariance, noise_ratio, rms_misfit
+
+# A combination of keys is undetermined if its standard error, times this number, exceeds the widest
+# range of a key.
+ERRORS_PER_RANGE = 4
+
+
+def describe_values(
+    keys: Sequence[VariedKey], values: Mapping[str, float], J: np.ndarray, residuals: np.ndarray
+) -> dict[str, Any]:
+    """Return the fitted values with standard errors, their correlation and the misfit.
+
+    Parameters
+    ----------
+    keys : sequence of VariedKey
+        Varied keys with their ranges.
+    values : mapping of str to float
+        Fitted value of each key.
+    J : (2 n, keys) array
+        Derivatives of the residuals with respect to logarithms of the values.
+    residuals : (2 n,) array
+        Residuals at the end of the fit in units of the noise.
+
+    Raises
+    ------
+    UsageError : a key changes the residuals less than noise, in its whole range.
+    """
+    names, widths = list(map(attrgetter("key"), keys)), np.array(compute_log_widths(keys))
+    unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
+    if unimportant.any():
+        raise UsageError(
+            "this key does not change the impedance",
+            where=", ".join(compress(names, unimportant)),
+            got="a change below the noise of the data",
+            expected="a key that changes the impedance",
+        )
+    _, s, Vt = np.linalg.svd(J, full_matrices=False)
+    scatter = estimate_covariance(J, residuals, widths)
+    sigma = np.sqrt(np.diag(scatter))
+    weak = ERRORS_PER_RANGE * noise_ratio(residuals, len(keys)) > s * widths.max()
+    parameters = {}
+    for item, deviation in zip(keys, sigma.tolist(), strict=True):
+        value = values[item.key]
+        parameters[item.key] = {
+            "value": value,
+            "sigma": abs(value) * deviation,
+            "low": item.low,
+            "high": item.high,
+            "at_bound": is_at_bound(item, value),
+        }
+    return {
+        "parameters": parameters,
+        "identifiable": not weak.any(),
+        "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
+        "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
+        "misfit": rms_misfit(residuals, len(keys)),
+    }
+
+
+def describe_error(size: np.ndarray) -> dict[str, float]:
+    """Return the rms and the largest relative error of ``|Z|``, from the errors ``size`` (n,)."""
+    return {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())}
+
+
+def match_resonances(
+    data: MeasuredAdmittance, start: np.ndarray, end: np.ndarray
+) -> list[dict[str, float | None]]:
+    """Return the resonances of the measurement, of the start and of the end in rising order.
+
+    A resonance is a peak of the conductance. ``start`` and ``end`` (n,) [S] are admittances at the
+    values of the scene and at the fitted values.
+    """
+    curves = (data.Y[:, 0, 0], start, end)
+    rows = [find_resonances(data.f, Y, data.noise) for Y in curves]
+    names = ("measured_hz", "start_hz", "fitted_hz")
+    return [dict(zip(names, row, strict=True)) for row in zip_longest(*rows)]
