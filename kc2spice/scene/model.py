@@ -854,7 +854,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the lowest and the highest voltage [V] of the output, infinite without supplies."""
+        """Return the limits [V] of the output voltage, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
