@@ -152,6 +152,21 @@ def test_a_run_states_the_effects_of_assumptions_on_its_level():
 
 
 @pytest.mark.slow
+def test_a_ring_on_the_nodal_circle_has_the_resonance_of_the_free_disc():
+    """A constraint where nothing moves has no effect; any other lowers the largest level's tone."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        free = kc.run(SCENE)
+        node = free.metrics["nodal_circle_m"]
+        tones = []
+        for share in (0.98, 1.0, 1.02):
+            ring = kc.run(SCENE, overrides={"disc.support": {"node": share * node}})
+            tones.append(ring.metrics["peak_level_frequency_hz"])
+    assert tones[1] == pytest.approx(free.metrics["peak_level_frequency_hz"], rel=3e-4)
+    assert max(tones[0], tones[2]) < (1 - 1e-3) * tones[1]
+
+
+@pytest.mark.slow
 def test_a_ring_changes_the_level_by_what_a_run_states():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

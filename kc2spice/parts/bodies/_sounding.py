@@ -154,6 +154,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
         result = super().metrics(part, build, waves)
         if not self.radiations(part, build.scene):
             return result
-        totals = [levels.total for levels in self.face_levels(part, build.scene).values()]
+        faces = self.face_levels(part, build.scene).values()
+        totals = [levels.total for levels in faces]
+        nodes = [levels.node for levels in faces if levels.node is not None]
         error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}
-        return {**error, **result}
+        node = {"nodal_circle_m": Metric(nodes[0], "m")} if nodes else {}
+        return {**error, **result, **node}
