@@ -355,7 +355,8 @@ def solve_transient(
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    left = np.empty(0)  # guards at the end of the previous interval
+    # guards at the end of the previous interval; the modes at rest contradict no guard
+    left = np.full_like(Interval(system, modes, 0.0).guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         while t < end:
