@@ -206,9 +206,10 @@ class DeclaredPart(PartType[KeysT]):
             yield from self.check_operating_point(part, build, waves)
         if "time" in waves:
             yield from balance_energy(d, part, known, waves)
+            positions = known.keys() & set(names_of(d.displacements))
             forces = map(d.direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(kinks, forces))):
-                if names(tree).isdisjoint(known):
+                if positions.isdisjoint(names(tree)):  # a reversal of a flow is no impact
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
