@@ -442,7 +442,7 @@ class Result:
         UsageError : the wave or figure does not exist, or there is a single point.
         """
         from kc2spice.report.figures import make_notebook_figure
-        from kc2spice.report.run_page import plot_probes
+        from kc2spice.report.probe_figure import plot_probes
 
         if not names and self.figures:
             names = (next(iter(self.figures)),)

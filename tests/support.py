@@ -62,6 +62,7 @@ NAMES_BY_MODULE = {
         "BOLTZMANN DEFAULT_TEMPERATURE Notch Ratio Section _parse_unit plausible_range_of "
         "quantity submodel validate"
     ),
+    "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
     "kc2spice.core.untrusted_files": (
         "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
@@ -168,6 +169,7 @@ NAMES_BY_MODULE = {
     "kc2spice.report.drawings": "describe_devices",
     "kc2spice.report.figures": "draw_pngs",
     "kc2spice.report.html": "PageSection write_page",
+    "kc2spice.report.probe_figure": "plot_probes",
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
     "kc2spice.rom": "pencil stability",
@@ -226,7 +228,7 @@ NAMES_BY_MODULE = {
     "kc2spice.scene.results": "NOISE_WAVE",
     "kc2spice.scene.rows": "Neglected SampledSource",
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
-    "kc2spice.scene.settings": "Rom",
+    "kc2spice.scene.settings": "Probe Rom",
     "kc2spice.sim": "ngspice",
     "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
     "kc2spice.sim.output": "classify_log list_alterations read_raw",

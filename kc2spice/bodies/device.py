@@ -40,6 +40,7 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import (
     Solid,
     assemble_solid,
+    compute_area,
     compute_displaced_volume,
     compute_node_shares,
 )
@@ -74,6 +75,11 @@ def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
     output of the port is ``-int u n dS``.
     """
     return ForceShape(port, -compute_displaced_volume(solid, facets), facets)
+
+
+def area_name(port: str) -> str:
+    """Return the name of the area [m^2] of an acoustic port among the facts of a model."""
+    return f"area_{port}_m2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +146,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
+    facts |= {area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()}
     pencil = bare.model.pencil
     definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
     require_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")

@@ -65,6 +65,12 @@ class FaceMotion:
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
 
+    @property
+    def peak_ratios(self) -> np.ndarray:
+        """Ratios (motions,) of the largest to the mean normal displacement: 1 for a piston."""
+        mean = np.abs(self.volumes) / self.area
+        return np.asarray(np.abs(self.normal).max(axis=0) / np.where(mean > 0, mean, np.inf))
+
     @cached_property
     def _plane(self) -> np.ndarray:
         """Coordinates (2, points) in the plane of the face, about its centre."""

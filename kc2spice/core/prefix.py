@@ -8,6 +8,11 @@ PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: 
 # Units with a prefix: the unit without its prefix, and the factor of the prefix.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
+# Units of areas and volumes with their value in SI.
+_AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
+_VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
+_POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
+SMALLEST_SHARE = 0.1  # of a unit of area or volume, below which a smaller unit is used
 LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
 _RATIO_WORDS = "of ", "relative"  # words with which units of ratios begin
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
@@ -26,7 +31,13 @@ def prefix_power(value: float) -> int:
 
 
 def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``."""
+    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``.
+
+    Examples
+    --------
+    >>> format_quantity(3.14e-4, "m2"), format_quantity(2.5e-6, "m3/s")
+    ('3.14 cm²', '2.5 cm³/s')
+    """
     if value is None:
         return "—"
     if value == 0.0 or not math.isfinite(value):
@@ -38,7 +49,24 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
         if unit == "kg" and abs(value) >= LARGEST_MASS:
             return f"{value:.{digits}g} kg"  # gigagrams are not in use
         return format_quantity(factor * value, plain, digits)
+    if _is_power_of_length(unit):
+        return _format_power_of_length(value, unit, digits)
     return _format_with_prefix(value, unit, digits, prefix_power(value))
+
+
+def _is_power_of_length(unit: str) -> bool:
+    """Return whether a unit begins with an area or a volume, whose prefix has the same power."""
+    return unit.partition("/")[0] in _POWERS_OF_LENGTH
+
+
+def _format_power_of_length(value: float, unit: str, digits: int) -> str:
+    """Return an area or a volume in the unit that gives the shortest number."""
+    base, slash, divisor = unit.partition("/")
+    units = _POWERS_OF_LENGTH[base]
+    large = [name for name, size in units.items() if abs(value) >= SMALLEST_SHARE * size]
+    name = large[0] if large else list(units)[-1]
+    sign = "−" if value < 0.0 else ""
+    return f"{sign}{abs(value) / units[name]:.{digits}g} {name}{slash}{divisor}"
 
 
 def _takes_prefix(unit: str) -> bool:
@@ -80,17 +108,17 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     ('0.0293 % of the energy exchanged', '10 %')
     """
     prefixed = _takes_prefix(unit)
+    plain = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
     if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0
     if unit.startswith(_RATIO_WORDS):
         words = unit.removeprefix("relative")
         joint = "" if words.startswith(",") else " "
         return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
-    if value == 0.0 and prefixed and unit not in _PREFIXED_UNITS and math.isfinite(limit):
+    if value == 0.0 and plain and math.isfinite(limit):
         power = prefix_power(limit)
         return f"0 {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}", format_quantity(limit, unit, 3)
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
-    plain = prefixed and unit not in _PREFIXED_UNITS
     if not plain or not near or not math.isfinite(value + limit):
         return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     power = prefix_power(value)

@@ -2,12 +2,41 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 # Pa, reference pressures of ISO 1683
 GAS_REFERENCE = 20e-6
 LIQUID_REFERENCE = 1e-6
 SMALLEST_RATIO = 1e-15  # ratio of pressures at which a level ends, because silence has none
+
+LEVEL_UNIT = "dB"
+
+
+class SoundLevel(NamedTuple):
+    """Sound pressure level and its reference.
+
+    Parameters
+    ----------
+    reference : float
+        Rms pressure [Pa] at 0 dB.
+    decibels : float or None
+        Level [dB], None if it is unknown.
+    """
+
+    reference: float
+    decibels: float | None = None
+
+    @property
+    def reference_text(self) -> str:
+        """Reference as words: ``re 20 µPa``."""
+        return f"re {1e6 * self.reference:g} µPa"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the level, with its reference."""
+        return f"{LEVEL_UNIT} {self.reference_text}"
 
 
 def compute_level(rms: np.ndarray, reference: float = GAS_REFERENCE) -> np.ndarray:

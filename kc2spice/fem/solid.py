@@ -295,6 +295,13 @@ def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1).ravel()
 
 
+def compute_area(solid: Solid, facets: np.ndarray) -> float:
+    """Area of a boundary [m^2]; that of a body of revolution is the area of the full turn."""
+    basis = solid.face(facets, FACE_QUADRATURE)
+    around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
+    return float((basis.dx * around).sum())
+
+
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:

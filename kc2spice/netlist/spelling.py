@@ -16,6 +16,7 @@ from kc2spice.core.errors import MissingToolError, UsageError
 # the charges is zero. The leak carries the fraction 1.6e-10 Hz / f of the node's current, for any
 # capacitance.
 LEAK_RATE = 1e-9
+_PLAIN_EXPONENTS = str.maketrans("²³", "23")
 # A unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
 _INFIX_UNIT = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
@@ -132,8 +133,17 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 
 
 def format_comment(text: str) -> str:
-    """Return ``text`` on one line, so that no part of it becomes a card."""
-    return " ".join("".join(ch if ch.isprintable() else " " for ch in text).split())
+    """Return ``text`` on one line, so that no part of it becomes a card.
+
+    Exponents of units are plain digits.
+
+    Examples
+    --------
+    >>> format_comment("a cavity\\n of 0.8 cm³")
+    'a cavity of 0.8 cm3'
+    """
+    plain = text.translate(_PLAIN_EXPONENTS)
+    return " ".join("".join(ch if ch.isprintable() else " " for ch in plain).split())
 
 
 # --- templates ---

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_and_limit
-from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.drawings import describe_devices, draw_circuit, draw_devices
 from kc2spice.report.html import (
     MAX_ROW_VALUES,
@@ -25,9 +22,7 @@ from kc2spice.report.html import (
     write_page,
 )
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.scene.settings import Probe
 
-WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
 MIN_METRICS = 4  # metrics of a summary beside rows of assumptions
 OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
@@ -367,54 +362,3 @@ def _simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
         ("largest step", largest),
         ("stop", format_quantity(scene.stop, "s")),
     ]
-
-
-# --- figures --------------------------------------------------------------------------------------
-
-
-def plot_probes(
-    probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
-) -> Iterator[Figure]:
-    """Plot all probed results, one panel for each unit; responses by their magnitude."""
-    scale = next(iter(waves.data))
-    x = waves[scale].real
-    if not probes or x.size < 2:
-        return
-    by_unit: dict[str, dict[str, Probe]] = {}
-    for name, probe in probes.items():
-        group = by_unit.setdefault(units.get(probe.of, ""), {})
-        if probe.of in waves:
-            group[name] = probe
-    panels = tuple(_plot_unit(unit, group, waves, scale) for unit, group in by_unit.items())
-    caption = "Results that the probes of the scene select, over the whole run."
-    yield Figure("probes", "Probed results", caption, panels, main=True)
-
-
-def _plot_unit(unit: str, probes: Mapping[str, Probe], waves: Waveforms, scale: str) -> Panel:
-    """Plot the probed results of one unit.
-
-    Marks show the places that probes read, levels the values whose crossing they return.
-    """
-    x = waves[scale].real
-    label, factor = scale_axis(scale, x)
-    log_x = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE_RANGE)
-    complex_ = any(np.iscomplexobj(waves[probe.of]) for probe in probes.values())
-    curves: dict[str, Curve] = {}
-    levels, marks = [], []
-    for name, probe in probes.items():
-        values = np.abs(waves[probe.of]) if complex_ else waves[probe.of]
-        curves[probe.of] = Curve(probe.of, factor * x, values)
-        if probe.level is not None:
-            levels.append((probe.level, name))
-        if probe.take in ("argmax", "value"):
-            place = float(x[values.argmax()] if probe.at is None else probe.at)
-            marks.append((factor * place, name))
-    return Panel(
-        label,
-        format_axis_label("magnitude" if complex_ else "value", unit),
-        tuple(curves.values()),
-        levels=tuple(levels),
-        marks=tuple(marks),
-        log_x=log_x,
-        log_y=complex_ and all(curve.y.all() for curve in curves.values()),
-    )

@@ -9,6 +9,7 @@ Modules of ``kc2spice.parts`` need no list. Other packages have an entry point i
 
 from __future__ import annotations
 
+import math
 import pkgutil
 from collections.abc import Mapping
 from functools import cache
@@ -19,6 +20,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.expression import join_terms
 from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.rows import Vector
 
@@ -41,6 +43,30 @@ def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
         return None
     ((row, sign),) = rows
     return Vector(row.expression, sign * row.factor, row.unit)
+
+
+def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
+    """Return the flow into a pin as the sum of the flows out of all other parts at the pin.
+
+    The result is None if one of these parts does not report its flow.
+    """
+    others = build.scene.joined(part.name, pin)
+    if len(others) == 1:
+        return find_current_into(part, pin, build)
+    terms: list[tuple[float, str]] = []
+    scales: dict[tuple[float, str], None] = {}
+    for name, end in others:
+        rows = list(find_flows(build.records[name].vectors, end).values())
+        if build.scene.parts[name].reduced or len(rows) != 1:
+            return None
+        ((row, sign),) = rows
+        scales[abs(row.factor), row.unit] = None
+        sign = math.copysign(sign, sign * row.factor)
+        terms += [(sign * share, text) for share, text in row.terms]
+    if len(scales) != 1:
+        return None
+    ((factor, unit),) = scales
+    return Vector(join_terms(terms), factor, unit)
 
 
 def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:

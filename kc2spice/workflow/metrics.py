@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
+from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel, compute_level
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
@@ -168,6 +168,15 @@ def _level_reference(probe: Probe, build: Build) -> float:
     """Return the rms pressure [Pa] at 0 dB of the result of a probe."""
     result = build.results.vectors.get(probe.of)
     return (result.level_reference if result else None) or GAS_REFERENCE
+
+
+def read_levels(build: Build, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
+    """Return the sound pressure levels of probes among the ``metrics`` of a run."""
+    result = {}
+    for name, probe in build.scene.probes.items():
+        if probe.take == "spl":
+            result[name] = SoundLevel(_level_reference(probe, build), metrics.get(name))
+    return result
 
 
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:

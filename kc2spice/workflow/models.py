@@ -145,7 +145,7 @@ def model_values(build: Build) -> dict[str, dict[str, float]]:
 VALUE_UNITS = {
     "mass_kg": "kg", "resonance*_hz": "Hz", "*capacitance_*f": "F", "depoling_voltage_v": "V",
     "free_stroke_*_m_per_v": "m/V", "free_stroke_*_m_per_100v": "m per 100 V", "extent_*_mm": "mm",
-    "force_max_n": "N", "coil_resistance_ohm": "Ohm", "coil_inductance_h": "H",
+    "area_*_m2": "m2", "force_max_n": "N", "coil_resistance_ohm": "Ohm", "coil_inductance_h": "H",
     "coil_mutual_h": "H",
 }  # fmt: skip
 

@@ -16,7 +16,8 @@ from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.report.figures import draw_pngs
-from kc2spice.report.run_page import plot_probes, write_run
+from kc2spice.report.probe_figure import plot_probes
+from kc2spice.report.run_page import write_run
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.checks import require_passed
 from kc2spice.scene.load import load_scene
@@ -25,6 +26,7 @@ from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
+from kc2spice.workflow.metrics import read_levels
 from kc2spice.workflow.models import mode_tables, model_values, value_units
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
@@ -48,7 +50,8 @@ class CompletedRun:
         result: list[Figure | FileWriter] = []
         if build.has_noise:
             result += noise_analysis.noise_figures(waves, units[NOISE_WAVE])
-        result += plot_probes(build.scene.probes, waves, units)
+        levels = read_levels(build, self.run.metrics)
+        result += plot_probes(build.scene.probes, waves, units, levels)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)
         return tuple(result)

@@ -60,6 +60,7 @@ def test_a_piston_has_the_power_of_a_piston():
     for face in (PISTON, spread(PISTON)):
         assert face.area == pytest.approx(math.pi * RADIUS**2, rel=1e-9)
         assert face.piston_shares == pytest.approx([1.0], rel=1e-9)
+        assert face.peak_ratios == pytest.approx([1.0], rel=1e-9)
         for ka in (0.1, 1.0, 5.0):
             assert face.power_ratios(ka / RADIUS, RADIUS) == pytest.approx([1.0], rel=1e-6)
 
@@ -75,6 +76,7 @@ def test_the_power_of_a_clamped_plate_is_that_of_its_closed_form(ka):
         assert ratio == pytest.approx([plate / piston], rel=1e-5)
         # mean 1/3, rms 1/5^0.5
         assert face.piston_shares == pytest.approx([math.sqrt(5) / 3], rel=1e-6)
+        assert face.peak_ratios == pytest.approx([3.0], rel=2e-3)  # at the point next to the axis
 
 
 def test_the_sound_of_a_disc_without_a_baffle_is_that_of_a_dipole():

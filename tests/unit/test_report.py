@@ -71,6 +71,14 @@ def test_two_keys_of_one_label_name_their_quantities() -> None:
     assert list(rows) == expected
 
 
+def test_areas_and_volumes_have_the_power_of_the_prefix():
+    assert format_quantity(3.14159e-4, "m2") == "3.142 cm²"
+    assert format_quantity(-5.38e-6, "m3/s") == "−5.38 cm³/s"
+    assert format_quantity(10.1e-3, "m3") == "10.1 dm³"
+    assert format_quantity(2e-10, "m3") == "0.2 mm³"
+    assert format_value_and_limit(1e-4, 2e-4, "m2") == ("1 cm²", "2 cm²")
+
+
 def test_words_get_no_prefix():
     assert format_quantity(-3.84e-6, "over the limit") == "-3.84e-06 over the limit"
     assert format_quantity(0.8, "mm") == "800 µm"

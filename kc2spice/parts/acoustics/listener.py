@@ -13,10 +13,10 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, Ratio, Section
-from kc2spice.core.sound_level import compute_level
+from kc2spice.core.sound_level import SoundLevel, compute_level
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
@@ -284,16 +284,21 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             "peak_level_frequency_hz": Metric(float(frequency[largest]), "Hz"),
         }
 
+    def _is_level_probed(self, part: Part[ListenerKeys], scene: Scene) -> bool:
+        """Return whether a probe reads the level, because its plot contains the same curve."""
+        name = f"{part.name}.{ACOUSTIC.across.symbol}"
+        return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
+
     def figures(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        if build.scene.analysis.type != "ac":
+        if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
         axis, factor = scale_axis("frequency", frequency)
         log = frequency[0] > 0 and math.log10(frequency[-1] / frequency[0]) > LOG_DECADES
         fluid = self.radiations(part, build.scene)[0].keys.fluid
-        reference = f"{1e6 * fluid.level_reference:g} µPa"
+        scale = SoundLevel(fluid.level_reference)
         curve = Curve("", factor * frequency, levels)
-        panel = Panel(axis, f"level in dB re {reference}", (curve,), log_x=log)
+        panel = Panel(axis, format_axis_label("level", scale.unit), (curve,), log_x=log)
         largest = int(levels.argmax())
         title = (
             f"{part.name}: at most {levels[largest]:.1f} dB, at "
@@ -301,8 +306,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         )
         place = format_quantity(part.keys.distance, "m")
         caption = (
-            f"Sound pressure level (rms, re {reference}) at {place} and {part.keys.angle:g}° from "
-            "the axis, in a free far field."
+            f"Sound pressure level (rms, {scale.reference_text}) at {place} and "
+            f"{part.keys.angle:g}° from the axis, in a free far field."
         )
         yield Figure(f"{part.name}_level", title, caption, (panel,))
 

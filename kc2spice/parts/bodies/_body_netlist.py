@@ -20,7 +20,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.pencil import first_order
 from kc2spice.scene.model import Build, DeclaredScene, Part, Scene
-from kc2spice.scene.parttype import find_current_into
+from kc2spice.scene.parttype import find_current_into, find_flow_into
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.heat_sources import METER
@@ -102,7 +102,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
                 known = None if port.domain is None else port.domain.across
                 factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
                 result[name] = Vector(f"v({node})", factor, unit)
-                flow = find_current_into(part, port.terminals[0], build) if port.charged else None
+                flow = find_flow_into(part, port.terminals[0], build) if port.charged else None
                 if flow is not None:
                     result[flow_name(part.name, ports, port)] = flow
         if self.gives_off_heat(part, build.scene):

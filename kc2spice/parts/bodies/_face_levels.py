@@ -41,6 +41,7 @@ class FaceLevels:
     ----------
     resonance : frequency [Hz] of this resonance.
     piston_share : ratio of mean to rms velocity.
+    peak : ratio of the largest to the mean displacement.
     power : radiated power relative to that of a piston with the same volume velocity; ``worst``
         is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz].
     unbaffled : level without a baffle, None if the body is no thin disc.
@@ -51,6 +52,7 @@ class FaceLevels:
 
     resonance: float
     piston_share: float
+    peak: float
     power: float
     worst: float
     worst_frequency: float
@@ -144,6 +146,7 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
     return FaceLevels(
         float(hertz[main]),
         float(motion.piston_shares[main]),
+        float(motion.peak_ratios[main]),
         float(power[main]),
         float(power[worst]),
         float(hertz[worst]),

@@ -7,11 +7,16 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACOUSTIC
+from kc2spice.core.figure import Figure, FileWriter
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.acoustics.radiation import FACE, RadiationKeys
+from kc2spice.parts.bodies._body_ports import flow_name
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import FieldKeysT
 from kc2spice.rom.linear_model import LinearModel
@@ -23,6 +28,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
     from kc2spice.parts.bodies._face_levels import FaceLevels, FaceOfBody
 
+MEAN_CAPTION = "Mean displacement of each radiating face along its outward normal."
 LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
 
 
@@ -148,6 +154,40 @@ class SoundingBody(LinearBody[FieldKeysT]):
             effects |= dict.fromkeys(list_level_effects(part.name, port, levels))
         yield from effects
 
+    def figures(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | FileWriter]:
+        yield from super().figures(part, build, waves)
+        displacements = self._face_displacements(part, build, waves)
+        if not displacements:
+            return
+        from kc2spice.parts.acoustics._displacement_figure import plot_displacements
+
+        caption = MEAN_CAPTION
+        if "frequency" in waves:
+            for port, levels in self.face_levels(part, build.scene).items():
+                if port in displacements:
+                    caption += f" {_describe_peak(port, levels, waves, displacements[port])}"
+        yield from plot_displacements(
+            part.name, waves, displacements, caption, quantity="mean displacement"
+        )
+
+    def _face_displacements(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> dict[str, np.ndarray]:
+        """Return the mean displacement [m] of each face whose volume velocity is a result."""
+        from kc2spice.bodies.device import area_name
+        from kc2spice.parts.acoustics._displacement_figure import integrate_flow
+
+        result, model = {}, build.model(part, LinearModel)
+        for port in self.used_ports(part, build.scene):
+            flow = flow_name(part.name, model.ports, port) if port.domain is ACOUSTIC else ""
+            area = model.facts.get(area_name(port.name))
+            if flow in waves and area:
+                # a volume velocity into the pin moves the face inwards
+                result[port.name] = -integrate_flow(waves, waves[flow]) / area
+        return result
+
     def metrics(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
@@ -160,3 +200,15 @@ class SoundingBody(LinearBody[FieldKeysT]):
         error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}
         node = {"nodal_circle_m": Metric(nodes[0], "m")} if nodes else {}
         return {**error, **result, **node}
+
+
+def _describe_peak(
+    port: str, levels: FaceLevels, waves: Waveforms, displacement: np.ndarray
+) -> str:
+    """State the largest displacement of a face at its resonance, from the mode and the mean."""
+    place = levels.resonance
+    mean = float(np.interp(place, waves.scale.real, np.abs(displacement)))
+    return (
+        f"At {format_quantity(float(f'{place:.4g}'), 'Hz')}, the largest displacement of {port} is "
+        f"about {levels.peak:.2g} times the mean: {format_quantity(levels.peak * mean, 'm', 2)}."
+    )

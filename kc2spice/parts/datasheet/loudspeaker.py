@@ -10,6 +10,7 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.figure import Figure
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
@@ -313,6 +314,14 @@ stop = "1 kHz"
             from kc2spice.parts.bodies._pictures import plot_impedances
 
             yield plot_impedances(part.name, result[0], {"": result[1]}, how)
+        x = waves.data.get(f"{part.name}.x")
+        if x is not None:
+            from kc2spice.parts.acoustics._displacement_figure import plot_displacements
+
+            caption = "Displacement of the cone."
+            if limit := part.keys.xmax:
+                caption += f" The largest linear displacement is {format_quantity(limit, 'm')}."
+            yield from plot_displacements(part.name, waves, {"": x}, caption)
 
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]

@@ -1,0 +1,71 @@
+"""Figure of the displacement of surfaces that radiate sound.
+
+The input is displacements [m] over the scale of a run: amplitudes over frequency or motions over
+time. A volume velocity U gives the mean displacement ``int U dt / S`` of a surface S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.prefix import PREFIXES, format_quantity, prefix_power
+from kc2spice.core.waveforms import SCALES, Waveforms
+
+WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
+PLACE_DIGITS = 4  # digits of a frequency in a title
+
+
+def integrate_flow(waves: Waveforms, flow: np.ndarray) -> np.ndarray:
+    """Return the volume that a volume velocity [m^3/s] displaces [m^3].
+
+    A response is divided by ``j omega``. A wave is integrated by the trapezoidal rule from the
+    first time point on.
+    """
+    scale = waves.scale.real
+    if not np.iscomplexobj(flow):
+        steps = np.diff(scale) * (flow[1:] + flow[:-1]) / 2
+        return np.concatenate([[0.0], np.cumsum(steps)])
+    omega = 2 * np.pi * np.where(scale > 0, scale, np.nan)
+    return np.asarray(flow / (1j * omega))
+
+
+def plot_displacements(
+    name: str,
+    waves: Waveforms,
+    displacements: Mapping[str, np.ndarray],
+    caption: str,
+    quantity: str = "displacement",
+) -> Iterator[Figure]:
+    """Plot displacements [m] of surfaces of the part ``name`` over time or frequency.
+
+    ``displacements`` are keyed by the label of the surface. Responses are drawn by their amplitude.
+    The unit has the prefix of the largest displacement.
+    """
+    scale, x = next(iter(waves)), waves.scale.real
+    if scale not in SCALES or x.size < 2:
+        return
+    axis, factor = scale_axis(scale, x)
+    response = scale == "frequency"
+    sizes = {label: np.abs(values) for label, values in displacements.items()}
+    largest = max(float(np.nanmax(size, initial=0.0)) for size in sizes.values())
+    power = prefix_power(largest)
+    curves = []
+    for label, values in displacements.items():
+        y = sizes[label] if response else values
+        curves.append(Curve(label, factor * x, y / 10.0**power))
+    wide = bool(response and x[0] > 0 and x[-1] / x[0] > WIDE_RANGE)
+    label = format_axis_label("amplitude" if response else "displacement", f"{PREFIXES[power]}m")
+    panel = Panel(axis, label, tuple(curves), log_x=wide, log_y=response)
+    title = f"{quantity.capitalize()} of {name}: at most {format_quantity(largest, 'm', 3)}"
+    if response:
+        title += f", at {format_quantity(_find_peak(x, sizes), 'Hz')}"
+    yield Figure(f"{name}_displacement", title, caption, (panel,))
+
+
+def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
+    """Return the place of the largest of all values, rounded."""
+    largest = np.nanmax(list(sizes.values()), axis=0)
+    return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")
