@@ -67,6 +67,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.untrusted_files": (
         "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
     ),
+    "kc2spice.core.probe_values": "mean_frequency",
     "kc2spice.core.waveforms": (
         "PulseKeys RecordedWave Waveforms constant_waveform differentiate linear_waveform "
         "pulse_waveform sine_waveform"
@@ -224,7 +225,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.scene.part_reference": "describe_part_types",
     "kc2spice.scene.parttype": "compute_pin_forces find_part_type load_part_types type_names",
-    "kc2spice.scene.resolve": "resolve_build",
+    "kc2spice.scene.resolve": "name_subcircuits resolve_build",
     "kc2spice.scene.results": "NOISE_WAVE",
     "kc2spice.scene.rows": "Neglected SampledSource",
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
@@ -242,9 +243,9 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
     "kc2spice.workflow.methods": "compare_methods",
-    "kc2spice.workflow.metrics": "compute_metrics list_checks mean_frequency with_undecided",
+    "kc2spice.workflow.metrics": "compute_metrics list_checks with_undecided",
     "kc2spice.workflow.misfit": "estimate_covariance find_likely_cause rms_misfit",
-    "kc2spice.workflow.models": "build_models model_values name_subcircuits value_units",
+    "kc2spice.workflow.models": "build_models model_values value_units",
     "kc2spice.workflow.orders": "suggested_keys",
     "kc2spice.workflow.reduce_files": "_load_scene_body export_rom first_deck reduce_file",
     "kc2spice.workflow.refine": "repeat_timing",

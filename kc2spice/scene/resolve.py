@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.scene.compose import join_parts, with_rests
-from kc2spice.scene.model import Build, BuildRecord, Part, Record, Scene
+from kc2spice.scene.model import Build, BuildRecord, NameAllocator, Part, Record, Scene
 from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
 from kc2spice.scene.rows import Governed, Numerics, State
 
@@ -167,3 +167,23 @@ def with_numerics(scene: Scene) -> Scene:
 def resolve_again(scene: Scene) -> Scene:
     """Return the scene after a change of keys, with the same pins and nets."""
     return with_numerics(with_rests(with_governed(scene)))
+
+
+def name_subcircuits(scene: Scene) -> dict[str, str]:
+    """Return the name of each part's subcircuit.
+
+    Parts of different types may choose the same name. Their subcircuits then have the names of the
+    parts.
+    """
+    parts = scene.parts.values()
+    names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}
+    types: dict[str, set[str]] = {}
+    for part in parts:
+        types.setdefault(names[part.name].lower(), set()).add(part.type.name)
+    unique = NameAllocator(names[part.name] for part in parts if part.netlist)
+    for part in parts:
+        if not part.netlist:
+            name = names[part.name]
+            preferred = name if len(types[name.lower()]) == 1 else part.name
+            names[part.name] = unique.name((part.type.name, preferred), preferred)
+    return names

@@ -6,7 +6,6 @@ The parts supply their cards, libraries and results by the methods of their type
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noi
 from kc2spice.scene.axes import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
-from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
@@ -55,7 +53,6 @@ def prepare_deck(
     Python functions of controllers by part. Raises as :func:`make_deck` and
     :func:`kc2spice.netlist.edited_deck.read_edited_deck` do.
     """
-    require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("export", "netlists"):
         deck = make_deck(build)
@@ -75,8 +72,7 @@ def make_deck(build: Build) -> Deck:
     libraries have one name; no source has the swept key; or there is no operating point.
     """
     scene = build.scene
-    implausible = apply_action(check_models(build), scene.checks.plausible)
-    for problem in chain(find_start_errors(scene, build.rests), implausible):
+    for problem in find_start_errors(scene, build.rests):
         raise problem
     loose = find_floating_nets(scene, build.rests)
     require_probed_results(build)

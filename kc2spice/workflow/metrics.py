@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel, compute_level
-from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
-from kc2spice.report.html import flatten_mapping
+from kc2spice.core.errors import unknown
+from kc2spice.core.probe_values import compute_probe_value
+from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel
+from kc2spice.core.waveforms import SCALES, Waveforms
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.results import NOISE_WAVE
@@ -23,9 +21,6 @@ from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import list_step_checks
 
-# largest relative correction of a maximum between points: 3 % at a distance of half a half-width
-MAX_CORRECTION = 0.05
-SCALE_ROUNDING = 1e-9  # relative rounding error of the ends of the scale in the simulator
 # relative change of the height of a flight for a relative change of the velocity
 HEIGHT_PER_VELOCITY = 2.0
 # share of error_budget that an energy balance may miss, a tenth of the share of time steps
@@ -111,17 +106,21 @@ def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) ->
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
-    rows = _metrics(waves, build, partial=partial)
-    units = {name: item.unit for name, item in flatten_mapping(rows) if isinstance(item, Metric)}
-    return Metrics(_metric_values(rows), {name: unit for name, unit in units.items() if unit})
+    return _split_metrics(_metrics(waves, build, partial=partial))
 
 
-def _metric_values(rows: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of metrics, in the same tables."""
-    result: dict[str, Any] = {}
+def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
+    """Return the values of metrics in the same tables, and their units by dotted name."""
+    result = Metrics({}, {})
     for name, item in rows.items():
-        value = item.value if isinstance(item, Metric) else item
-        result[name] = _metric_values(value) if isinstance(value, Mapping) else value
+        value, unit = (item.value, item.unit) if isinstance(item, Metric) else (item, "")
+        if unit:
+            result.units[f"{path}{name}"] = unit
+        if isinstance(value, Mapping):
+            inner = _split_metrics(value, f"{path}{name}.")
+            value = inner.values
+            result.units.update(inner.units)
+        result.values[name] = value
     return result
 
 
@@ -141,10 +140,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
-            unit = _probe_unit(probe, build, waves)
-            probed[name] = Metric(
-                evaluate_probe(probe, waves, name, window, _level_reference(probe, build)), unit
-            )
+            probed[name] = _evaluate_probe(name, probe, build, waves)
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
@@ -179,6 +175,31 @@ def read_levels(build: Build, metrics: Mapping[str, Any]) -> dict[str, SoundLeve
     return result
 
 
+def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> Metric:
+    """Return the value of a probe with its unit.
+
+    Raises
+    ------
+    UsageError : the run does not contain the vector, or a place is outside of its scale.
+    """
+    unit, reference = _probe_unit(probe, build, waves), _level_reference(probe, build)
+    window, where = window_of(probe, build.scene), f"probes.{name}"
+    if probe.of not in waves:
+        known = list(waves.data)[1:]
+        raise unknown("the run has no such result", probe.of, known, f"key {where}.of")
+    value = compute_probe_value(
+        probe.take,
+        waves.scale.real,
+        waves[probe.of],
+        where,
+        at=probe.at,
+        level=probe.level or 0.0,
+        window=window,
+        reference=reference,
+    )
+    return Metric(value, unit)
+
+
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
     """Return the first and the last place on the scale that a probe reads.
 
@@ -190,195 +211,3 @@ def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
         return None
     first = -math.inf if probe.from_ is None else probe.from_
     return first, math.inf if probe.to is None else probe.to
-
-
-def _clip_to_window(
-    scale: np.ndarray, values: np.ndarray, window: tuple[float, float], name: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points within a window, with its ends on the straight lines between them.
-
-    Raises
-    ------
-    UsageError : an end of the window is not on the scale.
-    """
-    direction = -1 if scale[0] > scale[-1] else 1
-    scale, values = scale[::direction], values[::direction]
-    for key, end in zip(("from", "to"), window, strict=True):
-        if math.isfinite(end) and not _is_on_scale(scale, end):
-            raise _make_outside_error(name, key, end, scale)
-    low, high = max(window[0], scale[0]), min(window[1], scale[-1])
-    inside = (scale > low) & (scale < high)
-    at = np.concatenate([[low], scale[inside], [high]])
-    ends = np.interp([low, high], scale, values)
-    read = np.concatenate([ends[:1], values[inside], ends[1:]])
-    return at[::direction], read[::direction]
-
-
-def evaluate_probe(
-    probe: Probe,
-    waves: Waveforms,
-    name: str,
-    window: tuple[float, float] | None = None,
-    reference: float = GAS_REFERENCE,
-) -> float | None:
-    """Return the value of a probe; None if there is no crossing or cycle.
-
-    With a ``window``, values outside of it are ignored. Sound pressure levels refer to the rms
-    pressure ``reference`` [Pa].
-
-    Raises
-    ------
-    UsageError : the run does not contain the vector.
-    """
-    if probe.of in waves:
-        scale, values = waves.scale.real, waves[probe.of]
-        if probe.take != "spl":
-            return _evaluate_wave(probe, scale, values, name, window)
-        rms = _evaluate_wave(_rms_probe(probe, values), scale, values, name, window)
-        # the amplitude of a sine is the square root of two times its rms value
-        share = math.sqrt(0.5) if np.iscomplexobj(values) else 1.0
-        return float(compute_level(np.asarray(share * (rms or 0.0)), reference))
-    known = list(waves.data)[1:]
-    raise unknown("the run has no such result", probe.of, known, f"key probes.{name}.of")
-
-
-def _rms_probe(probe: Probe, values: np.ndarray) -> Probe:
-    """Return the probe of the amplitude or of the rms value whose level a probe computes."""
-    if not np.iscomplexobj(values):
-        return probe.model_copy(update={"take": "rms"})
-    return probe.model_copy(update={"take": "max" if probe.at is None else "value"})
-
-
-def _evaluate_wave(
-    probe: Probe,
-    scale: np.ndarray,
-    values: np.ndarray,
-    name: str,
-    window: tuple[float, float] | None,
-) -> float | None:
-    """Return the value of a probe at its place on the scale, or in its window."""
-    if probe.at is None:
-        if window is not None:
-            scale, values = _clip_to_window(scale, values, window, name)
-        return _evaluate_range(probe, scale, values)
-    return _interpolate_value(scale, values, probe.at, name)
-
-
-def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the value of a probe over all points of a wave."""
-    if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
-        place, largest = response_maximum(scale.real, np.abs(values))
-        return largest if probe.take == "max" else place
-    if np.iscomplexobj(values) and probe.take == "min":
-        return response_minimum(scale.real, np.abs(values))
-    sizes = np.abs(values) if np.iscomplexobj(values) else values
-    result = _PROBE_FUNCTIONS[probe.take](scale, sizes, float(probe.level or 0.0))
-    return None if result is None else float(result)
-
-
-def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Return place and value of the largest magnitude of a response, also between points.
-
-    Near the pole ``a + j w0`` a response is ``R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a
-    parabola in ``w``, which three points determine:
-
-        1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
-
-    The largest point itself is returned at the ends of the range, and where the parabola exceeds it
-    by more than :data:`MAX_CORRECTION`: the points are then too far apart.
-
-    >>> w = np.array([9.0, 10.1, 11.2])
-    >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
-    >>> print(f"{place:.6f} {value:.6f}")
-    10.000000 1.000000
-    """
-    k = int(size.argmax())
-    place, largest = float(frequency[k]), float(size[k])
-    if not 0 < k < size.size - 1 or not size[k - 1 : k + 2].all():
-        return place, largest
-    # 1/|y|^2 = (1 + linear x + square x^2) / largest^2 at the distance x from the largest point
-    x = frequency[[k - 1, k + 1]] - place
-    slopes = ((largest / size[[k - 1, k + 1]]) ** 2 - 1) / x
-    square = (slopes[1] - slopes[0]) / (x[1] - x[0])
-    linear = slopes[1] - square * x[1]
-    least = 1 - linear**2 / (4 * square) if square > 0 else 0.0
-    if least < 1 / (1 + MAX_CORRECTION) ** 2:
-        return place, largest
-    return float(place - linear / (2 * square)), float(largest / math.sqrt(least))
-
-
-def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the smallest magnitude of a frequency response, also between its points.
-
-    Near a zero the reciprocal of a response has a pole.
-    """
-    return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
-
-
-def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the mean rate at which ``values`` rise through their mean in the last half.
-
-    None with fewer than two crossings.
-    """
-    late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
-    x, y = scale[late], values[late]
-    y = y - _time_average(x, y)
-    k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
-    if k.size < 2:
-        return None
-    places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
-    return float((k.size - 1) / abs(places[-1] - places[0]))
-
-
-def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the first place on the scale where the values cross ``level``, interpolated."""
-    above = values >= level
-    changes = np.flatnonzero(above[1:] != above[:-1])
-    if changes.size == 0:
-        return None
-    k = int(changes[0])
-    share = (level - values[k]) / (values[k + 1] - values[k])
-    return float(scale[k] + share * (scale[k + 1] - scale[k]))
-
-
-def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    span = scale[-1] - scale[0]  # negative if the scale falls, as is the integral below
-    return float(
-        np.trapezoid(values, scale) / span if span else values[0]
-    )  # the mean of a single point is its value
-
-
-# Functions of probes of the scale (n,), the values (n,) and a level, keyed by name.
-_PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
-    "argmax": lambda scale, values, _: scale[values.argmax()],
-    "max": lambda scale, values, _: values.max(),
-    "min": lambda scale, values, _: values.min(),
-    "final": lambda scale, values, _: values[-1],
-    "peak_to_peak": lambda scale, values, _: np.ptp(values),
-    "mean": lambda scale, values, _: _time_average(scale, values),
-    "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
-    "frequency": lambda scale, values, _: mean_frequency(scale, values),
-    "crossing": first_crossing,
-}
-
-
-def _is_on_scale(scale: np.ndarray, place: float) -> bool:
-    """Return whether a position is on the scale, within rounding."""
-    slack = SCALE_ROUNDING * float(np.ptp(scale))
-    return bool(scale.min() - slack <= place <= scale.max() + slack)
-
-
-def _make_outside_error(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
-    """Return the error of a position outside of the scale."""
-    expected = f"{scale.min():g} … {scale.max():g}"
-    return UsageError("this place is outside of the range of the analysis", where=
-        f"probes.{name}.{key}", got=f"{place:g}",
-                      expected=expected)  # fmt: skip
-
-
-def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
-    """Return the interpolated value at ``place``; the magnitude of a complex value."""
-    if not _is_on_scale(scale, place):
-        raise _make_outside_error(name, "at", place, scale)
-    result = interpolate(place, scale, values)
-    return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

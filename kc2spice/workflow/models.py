@@ -16,7 +16,9 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
-from kc2spice.scene.resolve import resolve_again, resolve_build
+from kc2spice.scene.plausible import apply_action, check_models
+from kc2spice.scene.probed_results import require_probed_results
+from kc2spice.scene.resolve import name_subcircuits, resolve_again, resolve_build
 from kc2spice.workflow.time_step import choose_largest_step, with_linearised_scene
 
 
@@ -31,9 +33,18 @@ def build_models(
 
     With ``trust``, included netlists may execute programs and open files. ``functions`` are the
     functions of controllers, keyed by part.
+
+    Raises
+    ------
+    UsageError : a probe reads an unknown result, which is detected before models are built, or a
+    mass is implausible.
     """
+    build = Build(scene, {}, trust=trust, functions=functions or {})
+    require_probed_results(build)
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
-    build = Build(scene, models, name_subcircuits(scene), trust=trust, functions=functions or {})
+    build = replace(build, models=models, libraries=name_subcircuits(scene))
+    for problem in apply_action(check_models(build), scene.checks.plausible):
+        raise problem
     build = _resolve_equations(merge_equal_subcircuits(build))
     if scene.analysis.type != "transient":
         return build
@@ -57,26 +68,6 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[st
 def rebuild_with_scene(build: Build, scene: Scene) -> Build:
     """Return a build for changed keys that reuses pins, nets and models."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
-
-
-def name_subcircuits(scene: Scene) -> dict[str, str]:
-    """Return the name of each part's subcircuit.
-
-    Parts of different types may choose the same name. Their subcircuits then have the names of the
-    parts.
-    """
-    parts = scene.parts.values()
-    names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}
-    types: dict[str, set[str]] = {}
-    for part in parts:
-        types.setdefault(names[part.name].lower(), set()).add(part.type.name)
-    unique = NameAllocator(names[part.name] for part in parts if part.netlist)
-    for part in parts:
-        if not part.netlist:
-            name = names[part.name]
-            preferred = name if len(types[name.lower()]) == 1 else part.name
-            names[part.name] = unique.name((part.type.name, preferred), preferred)
-    return names
 
 
 def merge_equal_subcircuits(build: Build) -> Build:

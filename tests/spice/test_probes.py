@@ -115,7 +115,7 @@ def test_names_are_checked_before_any_model_is_built(of, near, monkeypatch):
     def build(*_, **__):
         raise AssertionError("a model was built")
 
-    monkeypatch.setattr(decks, "build_models", build)
+    monkeypatch.setattr(type(load_scene(BEAM).parts["b"].type), "build", build)
     with pytest.raises(UsageError) as caught:
         decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": of}}}), Clock())
     assert near in f"{caught.value.expected} {caught.value.hint}"

@@ -1,0 +1,237 @@
+"""Values that probes compute from a wave over its scale: extremes, means, crossings, levels.
+
+:func:`compute_probe_value` is the entry point. Its input is a wave as arrays, its output one
+number. Functions of frequency count by their magnitude.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
+from kc2spice.core.waveforms import interpolate
+
+# largest relative correction of a maximum between points: 3 % at a distance of half a half-width
+MAX_CORRECTION = 0.05
+SCALE_ROUNDING = 1e-9  # relative rounding error of the ends of the scale in the simulator
+
+
+def compute_probe_value(
+    take: str,
+    scale: np.ndarray,
+    values: np.ndarray,
+    where: str,
+    *,
+    at: float | None = None,
+    level: float = 0.0,
+    window: tuple[float, float] | None = None,
+    reference: float = GAS_REFERENCE,
+) -> float | None:
+    """Compute the value that a probe takes from a wave.
+
+    Parameters
+    ----------
+    take : str
+        Name of the value, as in the key ``take`` of a probe.
+    scale : ndarray
+        Times, frequencies or swept values (n,) of the points, in SI units.
+    values : ndarray
+        Wave (n,) in SI units, complex for a response.
+    where : str
+        Key of the probe in a scene, which errors name.
+    at : float, optional
+        Place on the scale at which the wave is read. By default all points are read.
+    level : float, default 0
+        Level of a crossing.
+    window : tuple of float, optional
+        First and last place on the scale that are read.
+    reference : float, default 20 uPa
+        Rms pressure [Pa] at 0 dB of a sound pressure level.
+
+    Returns
+    -------
+    float or None
+        Value in SI units, or in dB; None if there is no crossing or cycle.
+
+    Raises
+    ------
+    UsageError : ``at`` or an end of the window is outside of the scale.
+
+    Examples
+    --------
+    >>> time = np.array([0.0, 1.0, 2.0])
+    >>> compute_probe_value("peak_to_peak", time, np.array([1.0, 4.0, 2.0]), "probes.swing")
+    3.0
+    """
+    if take == "spl":
+        rms = _compute_rms(scale, values, where, at, window)
+        return float(compute_level(np.asarray(rms), reference))
+    if at is not None:
+        return _interpolate_value(scale, values, at, where)
+    if window is not None:
+        scale, values = _clip_to_window(scale, values, window, where)
+    return _evaluate_range(take, scale, values, level)
+
+
+def _compute_rms(
+    scale: np.ndarray,
+    values: np.ndarray,
+    where: str,
+    at: float | None,
+    window: tuple[float, float] | None,
+) -> float:
+    """Return the rms value of a wave, of a response at a place or of its largest value."""
+    response = np.iscomplexobj(values)
+    take = "max" if response else "rms"
+    size = compute_probe_value(take, scale, values, where, at=at, window=window) or 0.0
+    # the amplitude of a sine is the square root of two times its rms value
+    return math.sqrt(0.5) * size if response else size
+
+
+def _clip_to_window(
+    scale: np.ndarray, values: np.ndarray, window: tuple[float, float], where: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points within a window, with its ends on the straight lines between them.
+
+    Raises
+    ------
+    UsageError : an end of the window is not on the scale.
+    """
+    direction = -1 if scale[0] > scale[-1] else 1
+    scale, values = scale[::direction], values[::direction]
+    for key, end in zip(("from", "to"), window, strict=True):
+        if math.isfinite(end) and not _is_on_scale(scale, end):
+            raise _make_outside_error(f"{where}.{key}", end, scale)
+    low, high = max(window[0], scale[0]), min(window[1], scale[-1])
+    inside = (scale > low) & (scale < high)
+    at = np.concatenate([[low], scale[inside], [high]])
+    ends = np.interp([low, high], scale, values)
+    read = np.concatenate([ends[:1], values[inside], ends[1:]])
+    return at[::direction], read[::direction]
+
+
+def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
+    """Return the value of a probe over all points of a wave."""
+    if np.iscomplexobj(values) and take in ("max", "argmax"):
+        place, largest = response_maximum(scale.real, np.abs(values))
+        return largest if take == "max" else place
+    if np.iscomplexobj(values) and take == "min":
+        return response_minimum(scale.real, np.abs(values))
+    sizes = np.abs(values) if np.iscomplexobj(values) else values
+    result = _PROBE_FUNCTIONS[take](scale, sizes, level)
+    return None if result is None else float(result)
+
+
+def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
+    """Return place and value of the largest magnitude of a response, also between points.
+
+    Near the pole ``a + j w0`` a response is ``R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a
+    parabola in ``w``, which three points determine:
+
+        1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
+
+    The largest point itself is returned at the ends of the range, and where the parabola exceeds it
+    by more than :data:`MAX_CORRECTION`: the points are then too far apart.
+
+    >>> w = np.array([9.0, 10.1, 11.2])
+    >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
+    >>> print(f"{place:.6f} {value:.6f}")
+    10.000000 1.000000
+    """
+    k = int(size.argmax())
+    place, largest = float(frequency[k]), float(size[k])
+    if not 0 < k < size.size - 1 or not size[k - 1 : k + 2].all():
+        return place, largest
+    # 1/|y|^2 = (1 + linear x + square x^2) / largest^2 at the distance x from the largest point
+    x = frequency[[k - 1, k + 1]] - place
+    slopes = ((largest / size[[k - 1, k + 1]]) ** 2 - 1) / x
+    square = (slopes[1] - slopes[0]) / (x[1] - x[0])
+    linear = slopes[1] - square * x[1]
+    least = 1 - linear**2 / (4 * square) if square > 0 else 0.0
+    if least < 1 / (1 + MAX_CORRECTION) ** 2:
+        return place, largest
+    return float(place - linear / (2 * square)), float(largest / math.sqrt(least))
+
+
+def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
+    """Return the smallest magnitude of a frequency response, also between its points.
+
+    Near a zero the reciprocal of a response has a pole.
+    """
+    return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
+
+
+def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
+    """Return the mean rate at which ``values`` rise through their mean in the last half.
+
+    None with fewer than two crossings.
+    """
+    late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
+    x, y = scale[late], values[late]
+    y = y - _time_average(x, y)
+    k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
+    if k.size < 2:
+        return None
+    places = x[k] - y[k] * (x[k + 1] - x[k]) / (y[k + 1] - y[k])
+    return float((k.size - 1) / abs(places[-1] - places[0]))
+
+
+def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
+    """Return the first place on the scale where the values cross ``level``, interpolated."""
+    above = values >= level
+    changes = np.flatnonzero(above[1:] != above[:-1])
+    if changes.size == 0:
+        return None
+    k = int(changes[0])
+    share = (level - values[k]) / (values[k + 1] - values[k])
+    return float(scale[k] + share * (scale[k + 1] - scale[k]))
+
+
+def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
+    span = scale[-1] - scale[0]  # negative if the scale falls, as is the integral below
+    return float(
+        np.trapezoid(values, scale) / span if span else values[0]
+    )  # the mean of a single point is its value
+
+
+# Functions of probes of the scale (n,), the values (n,) and a level, keyed by name.
+_PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
+    "argmax": lambda scale, values, _: scale[values.argmax()],
+    "max": lambda scale, values, _: values.max(),
+    "min": lambda scale, values, _: values.min(),
+    "final": lambda scale, values, _: values[-1],
+    "peak_to_peak": lambda scale, values, _: np.ptp(values),
+    "mean": lambda scale, values, _: _time_average(scale, values),
+    "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
+    "frequency": lambda scale, values, _: mean_frequency(scale, values),
+    "crossing": first_crossing,
+}
+
+
+def _is_on_scale(scale: np.ndarray, place: float) -> bool:
+    """Return whether a position is on the scale, within rounding."""
+    slack = SCALE_ROUNDING * float(np.ptp(scale))
+    return bool(scale.min() - slack <= place <= scale.max() + slack)
+
+
+def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
+    """Return the error of a position outside of the scale."""
+    expected = f"{scale.min():g} … {scale.max():g}"
+    return UsageError(
+        "this place is outside of the range of the analysis",
+        where=where,
+        got=f"{place:g}",
+        expected=expected,
+    )
+
+
+def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
+    """Return the interpolated value at ``place``; the magnitude of a complex value."""
+    if not _is_on_scale(scale, place):
+        raise _make_outside_error(f"{where}.at", place, scale)
+    result = interpolate(place, scale, values)
+    return float(np.abs(result)) if np.iscomplexobj(result) else float(result)
