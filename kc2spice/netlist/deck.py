@@ -8,14 +8,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from operator import attrgetter, itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
-from kc2spice.core.domains import Power, describe_units
+from kc2spice.core.domains import describe_units
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.expression import literal_value, split_terms
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.powers import PowerTerm
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
 from kc2spice.netlist.read import OPTION_CARDS, read_cards
 from kc2spice.netlist.scope import Scope
@@ -100,23 +101,6 @@ class Measure:
         scaled = f"param='{format_number(self.factor)}*{plain}'"
         yield Directive(".meas", (self.kind, plain, *self.words))
         yield Directive(".meas", (self.kind, self.name, scaled))
-
-
-class PowerTerm(NamedTuple):
-    """Power [W] as the product of two results.
-
-    One quantity is ``across`` pins and the other flows ``through`` these pins; the ``law`` depends
-    on their domain.
-    """
-
-    across: str
-    through: str
-    law: Power
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Names of the two results."""
-        return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 
 
 def transient_command(stop: float, max_step: float, *, uic: bool) -> Command:

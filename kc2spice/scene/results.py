@@ -15,7 +15,7 @@ import numpy as np
 from kc2spice.core.domains import FLOW_SYMBOLS, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
-from kc2spice.netlist.deck import PowerTerm
+from kc2spice.netlist.powers import PowerTerm
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part

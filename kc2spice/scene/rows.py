@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.netlist.deck import PowerTerm
 from kc2spice.netlist.expression import parse_vector, split_terms
+from kc2spice.netlist.powers import PowerTerm
 
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin

@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveforms import Waveforms, differentiate, save_arrays, write_record
-from kc2spice.netlist.deck import Deck, PowerTerm
+from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.powers import add_powers
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
@@ -171,7 +172,8 @@ def simulate_deck(
         message += "0 on; values that they keep between calls must be reset there"
         warnings.warn(message, stacklevel=2)
     used = simulator_cpu(shared=shared) - begin
-    waves = add_powers(correct_waves(result.waves, build), deck.powers)
+    waves = correct_waves(result.waves, build)
+    waves = add_powers(waves, deck.powers)
     results = compute_metrics(waves, build)
     return Run(
         deck=result.deck,
@@ -192,35 +194,6 @@ def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
     for part in build.scene.parts.values():
         result |= part.type.corrected_waves(part, build, waves)
     return replace(waves, data=result)
-
-
-def add_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
-    """Return the waves and these powers.
-
-    A power is the instantaneous power, or in ``ac`` the mean over a period.
-    """
-    result = dict(waves.data)
-    for name, terms in powers.items():
-        result[name] = np.asarray(sum(_compute_power(term, waves) for term in terms))
-    return replace(waves, data=result)
-
-
-def _compute_power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
-    """Return a power over the scale of the waves.
-
-    The mean of a heat flow over a period is zero. A mechanical power at the operating points of a
-    sweep is also zero, because nothing moves.
-    """
-    through = waves[term.through]
-    if term.law == "through":
-        return np.zeros(through.size) if np.iscomplexobj(through) else through
-    across = waves[term.across]
-    if term.law == "d(across)/dt * through":
-        if "frequency" in waves:
-            across = 2j * np.pi * waves["frequency"].real * across
-        else:
-            across = differentiate(across, waves["time"]) if "time" in waves else 0.0 * across
-    return (across * through.conj()).real / 2 if np.iscomplexobj(through) else across * through
 
 
 def run_simulation(

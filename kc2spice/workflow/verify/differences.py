@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.powers import add_powers
 from kc2spice.scene.checks import Check, Gate
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import collect_powers
 from kc2spice.workflow.metrics import compute_metrics
-from kc2spice.workflow.simulate import add_powers, correct_waves
+from kc2spice.workflow.simulate import correct_waves
 
 MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value
 REST_MOTION = 1e-9  # largest motion at rest due to rounding errors, relative to the size
