@@ -212,13 +212,14 @@ def run(
         if directory is None
         else stage_directory(directory)
     )
+    clock = Clock()
     with place as name:
         work = Path(name)
         done = complete_run(
-            loaded, work, out=directory, trust=trust, deck=edited, functions=functions
+            loaded, work, clock, out=directory, trust=trust, deck=edited, functions=functions
         )
         if directory is not None:
-            write_run_files(done, work)
+            write_run_files(done, work, clock)
     answer = done.run
     figures = {item.name: item for item in done.figures}
     more: dict[str, Any] = {"figures": figures, "_done": done}
@@ -510,7 +511,7 @@ class Result:
         with stage_directory(out) as work:
             protect_other_decks(Path(out), self.deck.files)
             if self._done is not None:
-                write_run_files(self._done, work, png=png)
+                write_run_files(self._done, work, Clock(wall_s=dict(self._done.wall_s)), png=png)
             else:
                 write_files(self.deck.files, work)
                 waves = Waveforms(dict(self.waves), {})

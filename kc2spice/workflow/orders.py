@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shutil import copytree
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
@@ -28,7 +28,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Part
+from kc2spice.scene.model import Part, Scene
 from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.ringing import time_per_point
@@ -80,13 +80,12 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
     of the search if the error remains too large.
     """
     for _ in range(MAX_RERUNS):
-        searches = list(_search_larger_orders(run, clock))
-        chosen = [search.best for search in searches if search.best is not None]
+        scene, chosen, ends = _search_larger_orders(run, clock)
         if not chosen:
-            for search in searches:
-                warnings.warn(search.end, stacklevel=3)
+            for end in ends:
+                warnings.warn(end, stacklevel=3)
             return run
-        better = _run_again(run, chosen, work, clock)
+        better = _run_again(run, scene, chosen, work, clock)
         if better is None:
             return run
         run = better
@@ -113,17 +112,17 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
     return orders if max(orders.values(), default=0) <= MAX_VECTORS else {}
 
 
-def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock) -> Run | None:
+def _run_again(
+    run: Run, scene: Scene, chosen: Sequence[LargerOrder], work: Path, clock: Clock
+) -> Run | None:
     """Run the scene with the ``chosen`` orders; None if the run fails or has no smaller error."""
     build = run.build
-    keys: dict[str, Any] = {}
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
-        keys |= item.keys
     options: dict[str, Any] = {"trust": build.trust, "functions": build.functions}
     with TemporaryDirectory() as folder:
         try:
-            again, deck = prepare_deck(load_scene(build.scene, keys), clock, **options)
+            again, deck = prepare_deck(scene, clock, **options)
             with clock.time_stage("simulate", "with more states") as share:
                 result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
@@ -142,12 +141,12 @@ def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock
     return result
 
 
-@dataclass(frozen=True)
-class _Search:
-    """Search result: the best larger order of a body, or None, and the reason."""
+class _Search(NamedTuple):
+    """Scene with the best larger orders of its bodies, and the reason for each end of a search."""
 
-    best: LargerOrder | None
-    end: str
+    scene: Scene
+    chosen: tuple[LargerOrder, ...] = ()
+    ends: tuple[str, ...] = ()
 
 
 def _violated_checks(run: Run) -> dict[str, Check]:
@@ -164,25 +163,31 @@ def _bodies_with_order(run: Run) -> Iterator[Part]:
     return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
-def _search_larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
+def _search_larger_orders(run: Run, clock: Clock) -> _Search:
     """Search an order for each body whose error under the recorded loads is too large."""
+    result = _Search(run.build.scene)
     for name, check in _violated_checks(run).items():
-        yield _search_larger_order(run, run.build.scene.parts[name], check, clock)
+        result = _search_larger_order(run, result, name, check, clock)
+    return result
 
 
-def _search_larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
+def _search_larger_order(
+    run: Run, earlier: _Search, name: str, check: Check, clock: Clock
+) -> _Search:
     """Search the smallest multiple of the order whose error is within the limit of ``check``.
 
-    If no multiple is within the limit, the result is the multiple with the least error.
+    If no multiple is within the limit, the result is the multiple with the least error. The scene
+    already has the orders of an ``earlier`` search for other bodies.
     """
-    build, kind = run.build, part.type
+    build, part = run.build, run.build.scene.parts[name]
+    kind = part.type
     assert isinstance(kind, LinearBody)
     model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
     assert model.certificate is not None
     order, key = target.order or model.order, f"{part.name}.rom"
     low, high = model.certificate.band_hz
     norm = {} if target.norm is None else {f"{key}.norm": target.norm}
-    least, result = IMPROVEMENT_RATIO * check.value, None
+    least, result, best = IMPROVEMENT_RATIO * check.value, None, earlier.scene
     end = f"more states reduce its error by less than {1 - IMPROVEMENT_RATIO:.0%}"
     for multiple, wider in ORDER_FACTORS:
         keys = {f"{key}.order": multiple * order, f"{key}.band": [low, wider * high], **norm}
@@ -190,7 +195,7 @@ def _search_larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _S
             end = f"an order above {MAX_VECTORS} is not tried"
             break
         try:
-            scene = load_scene(build.scene, keys)
+            scene = load_scene(earlier.scene, keys)
             larger = kind.build(scene.parts[part.name], scene, clock)
         except (SimulationError, UsageError) as error:
             end = f"there is no larger model ({error.message})"
@@ -214,9 +219,11 @@ def _search_larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _S
             least, states = estimate[0], (model.order, larger.order)
             errors = check.value, least
             result = LargerOrder(part.name, keys, states, errors, check.limit, seconds)
+            best = scene
         if least <= check.limit and result is not None:
             break
-    return _Search(result, f"{check.name}: {end}")
+    chosen = () if result is None else (result,)
+    return _Search(best, (*earlier.chosen, *chosen), (*earlier.ends, f"{check.name}: {end}"))
 
 
 def _estimate_run_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import math
 import tempfile
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -27,7 +28,7 @@ from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.scene.axes import Axis, apply_notches, find_axes, find_finest_axes
-from kc2spice.scene.checks import Check
+from kc2spice.scene.checks import Check, require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.settings import Action
@@ -292,6 +293,13 @@ class ConvergedRun:
     shares: Mapping[str, float]
     limits: tuple[float, float]
 
+    @property
+    def run(self) -> Run:
+        """Run within the error budget, with the check of its estimate."""
+        run = self.final.run
+        verdict = replace(run.verdict, checks=(*run.verdict.checks, self.check))
+        return replace(run, verdict=verdict)
+
     def record(self) -> dict[str, Any]:
         """Return ``convergence`` of ``result.json``."""
         return {
@@ -309,7 +317,11 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
-    scene has neither of these keys.
+    scene has neither of these keys. Warns of refined settings.
+
+    Raises
+    ------
+    SimulationError : the estimate exceeds its limit, and ``checks.reduction`` is ``fail``.
     """
     scene, budget = start.build.scene, start.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
@@ -357,6 +369,14 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
     worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
     check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
+    if final.settings:
+        settings = ", ".join(final.settings)
+        warnings.warn(
+            f"error_budget {limit:g}: the run used finer {settings}; the written deck and models "
+            "contain these settings",
+            stacklevel=2,
+        )
+    require_passed((check,), scene.name)
     return ConvergedRun(final, check, tried, shares, runs.limits)
 
 

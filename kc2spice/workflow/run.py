@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from kc2spice.report.figures import draw_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
 from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.checks import require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.results import NOISE_WAVE
@@ -36,11 +35,11 @@ from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 @dataclass(frozen=True)
 class CompletedRun:
-    """Completed simulation of a scene, with the simulator and its wall times."""
+    """Completed simulation of a scene, with the simulator and the wall time [s] of each stage."""
 
     run: Run
     simulator: Simulator
-    clock: Clock
+    wall_s: Mapping[str, float]
     converged: ConvergedRun | None = None
 
     @cached_property
@@ -85,7 +84,7 @@ class CompletedRun:
             "model_units": {name: value_units(row) for name, row in model_values(build).items()},
             "checks": [check.record() for check in run.verdict.checks],
             "plan": describe_plan(build),
-            "wall_s": self.clock.wall_s,
+            "wall_s": self.wall_s,
         }
         if self.converged is not None:
             record["convergence"] = self.converged.record()
@@ -149,15 +148,16 @@ def run_scene(
     >>> Path("lamp/result.json").is_file()
     True
     """
+    clock = Clock(progress)
     with stage_directory(out) as work:
-        done = complete_run(scene, work, progress, out=out, trust=trust, deck=deck)
-        return write_run_files(done, work, keep=keep, png=png)
+        done = complete_run(scene, work, clock, out=out, trust=trust, deck=deck)
+        return write_run_files(done, work, clock, keep=keep, png=png)
 
 
 def complete_run(
     scene: Scene,
     work: Path,
-    progress: Progress = ignore_progress,
+    clock: Clock,
     *,
     out: Path | None = None,
     trust: bool = False,
@@ -176,7 +176,7 @@ def complete_run(
 
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
-    simulator, clock, automatic = find_ngspice(), Clock(progress), dict[str, Any]()
+    simulator, automatic = find_ngspice(), dict[str, Any]()
     with keep_failed_run(work, out, scene.name):
         while True:
             build, prepared_deck = prepare_deck(
@@ -203,37 +203,23 @@ def complete_run(
             result = with_larger_orders(result, work, clock)
         converged = converge_to_budget(result, clock) if deck is None else None
         if converged is not None:
-            result = _converge_run(converged)
+            result = converged.run
     for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
             message = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
             warnings.warn(message, stacklevel=2)
-    return CompletedRun(result, simulator, clock, converged)
-
-
-def _converge_run(converged: ConvergedRun) -> Run:
-    """Return the run within the error budget, with the check of its estimate."""
-    final, check = converged.final, converged.check
-    if final.settings:
-        settings = ", ".join(final.settings)
-        warnings.warn(
-            f"error_budget {check.limit:g}: the run used finer {settings}; the written deck and "
-            "models contain these settings",
-            stacklevel=2,
-        )
-    require_passed((check,), final.run.build.scene.name)
-    verdict = final.run.verdict
-    return replace(final.run, verdict=replace(verdict, checks=(*verdict.checks, check)))
+    return CompletedRun(result, simulator, clock.wall_s, converged)
 
 
 def write_run_files(
-    done: CompletedRun, work: Path, *, keep: bool = False, png: bool = False
+    done: CompletedRun, work: Path, clock: Clock, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
     """Write all files of a run into ``work``; return ``result.json``."""
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
-    with done.clock.time_stage("report", "metrics and page"):
+    with clock.time_stage("report", "metrics and page"):
         record = dict(done.record)
+        record["wall_s"] = clock.wall_s
         texts = deck.files | write_plot_script(deck)
         write_files(texts, work)
         files, figures = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from device import built
 from support import (
+    Clock,
     RetriesFailedError,
     UsageError,
     complete_run,
@@ -79,7 +80,7 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
 
 def test_a_run_in_this_process_states_it_and_can_be_timed_again(tmp_path):
     """The simulator's own process can neither call functions nor be timed for one that does."""
-    done = complete_run(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
+    done = complete_run(scene(), tmp_path, Clock(), functions={"digits": lambda time, inputs: 1.0})
     assert done.record["simulator"]["engine"] == "shared"
     assert done.run.cpu_s > 0
     assert repeat_timing(done.run) > 0

@@ -68,7 +68,7 @@ def outcome(number, folder):
     chosen = settings(number)
     try:
         with patience(PATIENCE):
-            done = complete_run(load_scene("kick_and_catch", chosen), folder)
+            done = complete_run(load_scene("kick_and_catch", chosen), folder, Clock())
     except (UsageError, SimulationError) as failed:
         left = "table left" in failed.message
         return LEFT if left else f"refused: {failed.message} {failed.got or ''}", chosen, None
