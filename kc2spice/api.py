@@ -196,17 +196,9 @@ def run(
     >>> print(f"{half.metrics['current_a']:.4f} A")
     1.0000 A
     """
-    if out is not None and not isinstance(out, (str, Path)):
-        raise UsageError(
-            "out is not the path of a directory",
-            where="out",
-            got=repr(out)[:120],
-            expected="a path",
-            hint='to change keys, write kc.run(SCENE, overrides={"rom.order": 10})',
-        )
+    directory = None if out is None else _require_path(out)
     loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
-    directory = None if out is None else Path(out)
     place = (
         tempfile.TemporaryDirectory(prefix="kc2spice-")
         if directory is None
@@ -318,7 +310,7 @@ def export(
     # imported here, because `run` does not need this module
     from kc2spice.workflow.export import export_scene
 
-    return export_scene(load_scene(scene), Path(out), dialect, trust=trust)
+    return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
 
 
 def verify(
@@ -628,6 +620,21 @@ class Table(tuple[dict[str, Any], ...]):
         return _format_html_table(self.columns, self._cells())
 
 
+def _require_path(out: object) -> Path:
+    """Return the path of a directory; raise an error for other objects."""
+    if isinstance(out, (str, Path)):
+        return Path(out)
+    raise UsageError(
+        "out is not the path of a directory",
+        where="out",
+        got=repr(out)[:120],
+        expected="a path",
+        hint='to change keys, write kc.run(SCENE, overrides={"rom.order": 10})'
+        if isinstance(out, (Mapping, list, tuple))
+        else 'for example out="results"',
+    )
+
+
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     """Raise an error for values of a sweep that are not non-empty lists.
 
@@ -642,8 +649,13 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
             raise UsageError("the values of a key are not a list", where=f"values: {key}",
                              got=repr(item)[:120], expected=expected, hint=hint)  # fmt: skip
     if not values or not all(map(len, values.values())):
-        raise UsageError("no key has more than one value to sweep", where="values",
-                         got=repr(dict(values))[:120], expected=expected)  # fmt: skip
+        raise UsageError(
+            "no key has more than one value to sweep",
+            where="values",
+            got=repr(dict(values))[:120],
+            expected=expected,
+            hint="write a list of values for at least one key",
+        )
 
 
 def sweep(
@@ -713,7 +725,11 @@ def sweep(
     by_name = isinstance(scene, (str, Path))
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
+    try:
+        definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
+    except UsageError as error:  # the error of a key names the option of the command
+        error.where = error.where and error.where.replace("--set ", "values: ", 1)
+        raise
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -437,6 +437,10 @@ def _reduce(
     from kc2spice.workflow.reduce_files import require_stable
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
+    if method not in (None, "compare"):
+        from kc2spice.workflow.methods import require_method_option
+
+        require_method_option(method)
     if method == "compare":
         no_effect = {"--out": out, "--dc": dc, "--shunt": shunt}
         no_effect |= {"--power": power, "--network": network}

@@ -192,7 +192,7 @@ def _find_option_words(param: Any, typed: list[str]) -> list[str]:
 def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
     """Make the error of an option whose value is not a number or out of range.
 
-    ``fractional`` states that the value is not a whole number although the option needs one.
+    ``fractional`` states that the option needs a whole number.
     """
     name, words = param.opts[0], _find_option_words(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
@@ -202,9 +202,15 @@ def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -
         problem = "this value is not a whole number" if fractional else "this value is out of range"
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if fractional else limits
-        return UsageError(problem, where=name, got=" ".join(words), expected=expected)
+        hint = f"for example {name} {max(low or 1, 1):g}"
+        return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
     if param.name != "band":
-        return UsageError("this value is not a number", where=name, got=wrong, expected="a number")
+        problem, kind = "this value is not a number", "a whole number" if fractional else "a number"
+        expected, hint = kind, f"write {kind} in place of {wrong}"
+        if low is not None or high is not None:
+            expected = f"{kind}, {limits}"
+            hint = f"for example {name} {max(low or 1, 1) if high is None else high:g}"
+        return UsageError(problem, where=name, got=wrong, expected=expected, hint=hint)
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
     with contextlib.suppress(UsageError):
         from kc2spice.core.quantities import quantity

@@ -122,10 +122,12 @@ def unknown(
     known: Iterable[str],
     where: str | None = None,
     command: str | None = None,
+    advice: str | None = None,
 ) -> UsageError:
     """Make the error of a ``name`` that is not ``known``; the error lists similar names.
 
-    ``command`` is the command line that lists all known names.
+    ``command`` is the command line or page that lists all known names. ``advice`` is the next
+    action if no known name is similar.
     """
     choices = list(known)
     expected = (
@@ -133,8 +135,11 @@ def unknown(
         if choices
         else "nothing: there are no names to choose from"
     )
-    near = did_you_mean(str(name), choices)
-    return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
+    hint = did_you_mean(str(name), choices) or advice
+    if hint is None and choices:
+        listed = command is not None and len(choices) > MAX_CANDIDATES
+        hint = f"see {command}, which lists all names" if listed else "write one of these names"
+    return UsageError(message, where=where, got=repr(name), expected=expected, hint=hint)
 
 
 def list_candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
@@ -164,7 +169,7 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """Return ``did you mean 'x'?`` for a name similar to ``word``.
 
-    Only the last parts of dotted keys are compared.
+    Only the last parts of dotted keys are compared, in lower case.
     """
     import difflib  # imported here, because most errors do not need it
 
@@ -173,7 +178,9 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)
-    near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
+    lower = {leaf.lower(): leaf for leaf in leaves}
+    last = word.rpartition(".")[2].lower()
+    near = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
     if not near:  # manufacturer's spelling of part numbers, such as 7BB-20-6 for buzzer_7bb_20_6
         plain = _normalise_word(word)
         near = [

@@ -226,6 +226,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
         where=where,
         got=f"{place:g}",
         expected=expected,
+        hint="write a place within this range, or extend the analysis",
     )
 
 

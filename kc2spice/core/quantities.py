@@ -103,7 +103,7 @@ def _explain_invalid(
             return (
                 "unknown key",
                 "one of " + list_candidates(word, fields, _help_command(schema)),
-                near,
+                near or f"delete {word}, or write one of these keys in its place",
             )
         case "missing":
             return (
@@ -126,9 +126,13 @@ def _explain_invalid(
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(details["input"]), choices)
             listed = list_candidates(details["input"], choices, _help_command(schema))
+            near = near or f'for example  {full_path[-1]} = "{choices[0]}"'
             return "this value is not one of the choices", f"one of {listed}", near
+        case "string_type":
+            return "not a text", "a text in quotes", f'for example  {full_path[-1]} = "NAME"'
         case "int_type":
-            return "not a whole number", "a whole number, without quotes", None
+            hint = f"for example  {full_path[-1]} = 10"
+            return "not a whole number", "a whole number, without quotes", hint
         case "dict_type" if isinstance(details["input"], (list, tuple)):
             return (
                 "a list, not tables by name",
@@ -436,16 +440,23 @@ def _suggest_spelling(value: object, si: str) -> str | None:
 
     if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
+    begun = _NUMBER.fullmatch(value.rstrip())
+    if begun is not None and begun[2] and si.startswith((f"{begun[2]}/", f"{begun[2]} ")):
+        return f'write  "{begun[1]} {si}"'
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
             _parse_quantity(text, si)
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
-            return f'write  "{f"{number} {unit}".strip()}"'
-    match = _NUMBER.fullmatch(value)
-    if match is None or _parse_unit(match[2]) is not None:
-        return None
-    near = get_close_matches(match[2], [f"{prefix}{si}" for prefix in ("", *_PREFIX)], 1, 0.7)
-    return f'write  "{match[1]} {near[0]}"' if near else None
+            advice = f'write  "{f"{number} {unit}".strip()}"'
+            if begun is not None and not begun[2] and si in _UNITS:  # no unit, so no prefix either
+                advice += f'  or, with a prefix,  "{number} m{si}"'
+            return advice
+    if begun is None:
+        return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+    if _parse_unit(begun[2]) is not None:
+        return f'write  "{begun[1]} {si}"  if the value is in {si}' if si else f"write {begun[1]}"
+    near = get_close_matches(begun[2], [f"{prefix}{si}" for prefix in ("", *_PREFIX)], 1, 0.7)
+    return f'write  "{begun[1]} {near[0] if near else si}"' if si else f"write {begun[1]}"
 
 
 def invalid_value_error(

@@ -188,7 +188,12 @@ class Waveform:
         """Raise an error if the times do not increase."""
         times = list(map(itemgetter(0), self.points))
         if not times or np.any(np.diff(times) <= 0.0):
-            raise UsageError("the times of the waveform do not increase strictly", got=times)
+            raise UsageError(
+                "the times of the waveform do not increase strictly",
+                got=times,
+                expected="a later time in each row",
+                hint="sort the rows by time, and delete rows with a repeated time",
+            )
 
     @property
     def straight(self) -> bool:
@@ -327,10 +332,15 @@ def pulse_waveform(
     UsageError : the count has no period, or is too large for a netlist.
     """
     if count is not None and period is None:
-        raise UsageError("the pulse has a count, but no period", expected="period and count")
+        hint = "add the key period, or delete count"
+        raise UsageError(
+            "the pulse has a count, but no period", expected="period and count", hint=hint
+        )
     if count is not None and not 1 <= count <= MAX_PULSES:
         expected = f"1 to {MAX_PULSES}; without a count the train has no end"
-        raise UsageError("count is not a number of pulses", got=count, expected=expected)
+        raise UsageError(
+            "count is not a number of pulses", got=count, expected=expected, hint="delete count"
+        )
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)
     if period is None or count is None:

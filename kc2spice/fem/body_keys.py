@@ -91,15 +91,24 @@ class Damping(Section):
         """Require one of the alternative forms of damping."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
-            raise ValueError(
-                "damping needs exactly one of ratio, quality, loss_factor, per_material"
+            names = "ratio", "quality", "loss_factor", "per_material"
+            stated = [name for name in names if name in self.model_fields_set]
+            raise invalid_value_error(
+                f"the damping is stated twice, by {' and '.join(stated)}",
+                f"one of {', '.join(names)}",
+                hint=f"delete {stated[0]}; an option --set replaces the table: "
+                f"damping={{{stated[-1]}={getattr(self, stated[-1])}}}",
             )
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:
             raise ValueError("two values of ratio need two frequencies in at")
         values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
-            raise ValueError("a damping ratio is negative, or a frequency is not greater than 0")
+            raise invalid_value_error(
+                "a damping ratio is negative, or a frequency is not greater than 0",
+                "a damping ratio of at least 0, and a frequency above 0",
+                hint='for example  ratio = 0.01  and  at = "5 kHz"',
+            )
         if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
             raise invalid_value_error(
                 "the damping is overcritical",

@@ -63,7 +63,11 @@ def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
     if not callable(solver):
         got = repr(solver)[:120]
         raise UsageError(
-            "this object is not a direct solver", where="solver", got=got, expected=HOW
+            "this object is not a direct solver",
+            where="solver",
+            got=got,
+            expected=HOW,
+            hint="leave out solver: SuperLU then factorises the matrices",
         )
     token = _supplied.set(solver)
     try:

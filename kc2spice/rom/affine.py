@@ -162,6 +162,14 @@ class AffineModel:
     _terms: tuple[AffineTerm, ...] = field(default=(), init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.model, LinearModel):
+            raise UsageError(
+                "this object is not a linear model",
+                where="model",
+                got=repr(self.model)[:120],
+                expected="a kc.LinearModel at the default values of the parameters",
+                hint="build one by kc.LinearModel(M=M, K=K, B=B)",
+            )
         names = [item.name.lower() for item in self.parameters]
         if not 1 <= len(names) <= MAX_PARAMETERS or len(set(names)) < len(names):
             raise UsageError(

@@ -164,6 +164,7 @@ def parse_band(
             where="band",
             got=repr(band),
             expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
+            hint="for example band=(0, 20e3)",
         )
     low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
     return low, high

@@ -79,7 +79,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     count = exact.pencil.size
     method = f"{basis.origin}difference to {count} states at resonances, flanks and notches"
     if exact.proof:
-        method += f"; those {exact.proof}; stability from {proof.proof}"
+        method += f"; {exact.proof}; stability from {proof.proof}"
     method += _describe_zeros(estimator.reference[1], task.fom)
     if not exact.static or exact.pencil.free:
         method += "; free to move at zero frequency"

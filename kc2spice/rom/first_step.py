@@ -188,7 +188,7 @@ def _use_full_order(
             limit,
             "ask for a looser tolerance; other units or fewer elements may help",
         )
-    proof = f"being all of the full model, solved to {error:.0e}{note}"
+    proof = f"these are all states of the full model, solved to {error:.0e}{note}"
     error = min(error, limit)  # a larger error is a rounding error of the input matrices
     if projected is not None:
         floor = max(floor, removed_stiffness(projected, full, band))

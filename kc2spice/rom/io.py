@@ -188,6 +188,17 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     return [*files, *(f"{name}.{letter}" for letter in letters)]
 
 
+def require_rom_file(path: Path) -> None:
+    """Raise an error if there is no file at the path of a reduced model."""
+    if not path.is_file():
+        raise UsageError(
+            "this path is a directory" if path.is_dir() else "this file does not exist",
+            where=str(path),
+            expected=_EXPECTED_FILE,
+            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
+        )
+
+
 def read_rom(path: Path | str) -> LinearModel:
     """Read a reduced model that :func:`write_rom` wrote.
 
@@ -199,13 +210,7 @@ def read_rom(path: Path | str) -> LinearModel:
     not finite.
     """
     path = Path(path)
-    if not path.is_file():
-        raise UsageError(
-            "this file does not exist",
-            where=str(path),
-            expected=_EXPECTED_FILE,
-            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
-        )
+    require_rom_file(path)
     if path.suffix not in (".npz", ".json", ".M", ".E", ".K", ".A", ".B", ".C", ".D"):
         raise UsageError(
             "this file is not a reduced model",

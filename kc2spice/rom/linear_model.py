@@ -218,6 +218,7 @@ class LinearModel:
                 got=got,
                 expected="M, K, B and as needed E, C, D; E, K, B and as needed C, D; or A, B "
                 "and as needed C, D, E",
+                hint="add M=MASS_MATRIX, or write A=MATRIX for first-order equations",
             )
         for letter in "MEKA":
             put(self, letter, _convert_matrix(getattr(self, letter), letter, self.name))
@@ -699,6 +700,13 @@ def _require_heat(model: LinearModel) -> None:
         )
 
 
+def _describe_entries(data: np.ndarray) -> str:
+    """Return what a matrix contains besides real, finite numbers."""
+    if data.dtype.kind == "c":
+        return "complex numbers"
+    return "NaN or infinity" if data.dtype.kind in "fiub" else f"entries of type {data.dtype}"
+
+
 def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
     """Convert a matrix to real numbers, as an array unless it may be ``sparse``.
 
@@ -725,7 +733,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
         raise UsageError(
             f"matrix {letter} contains entries that are not real, finite numbers",
             where=where,
-            got="complex numbers" if data.dtype.kind == "c" else f"{data.dtype}, NaN or infinity",
+            got=_describe_entries(data),
             expected="real, finite numbers",
         )
     if matrix.ndim != 2:

@@ -380,6 +380,7 @@ def require_valid(target: Target) -> None:
             where="tolerance",
             got=tolerance,
             expected=f"at least {MIN_TOLERANCE:g}, the limit of double precision, and below 1",
+            hint="for example 1e-4, which is an error estimate of 0.01 %",
         )
     if order is not None and order < 1:
         raise UsageError(
@@ -387,6 +388,7 @@ def require_valid(target: Target) -> None:
             where="order",
             got=order,
             expected="a whole number from 1 on",
+            hint="for example 10",
         )
     if target.norm not in get_args(Norm):
         raise unknown("this norm does not exist", target.norm, get_args(Norm), "norm")

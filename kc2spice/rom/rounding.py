@@ -118,16 +118,14 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     a warning.
     """
     worst = int(size.argmax())
-    text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
+    text = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
         warnings.warn(
-            f"{text}, because the matrix entries of the model are rounded; the reduction uses "
-            f"the matrices without change",
+            f"rounding of the matrix entries {text}; the reduction uses the matrices without "
+            f"change",
             stacklevel=2,
         )
-    return (
-        f", {text} by the last digits of its matrices" if size[worst] > STATED_UNCERTAINTY else ""
-    )
+    return f", and rounding of its matrices {text}" if size[worst] > STATED_UNCERTAINTY else ""
 
 
 def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -173,5 +171,5 @@ def with_rounding(
         apart = max(apart, TRIAL_FACTOR * float(size.max()))
         if apart < NEGLIGIBLE_SHARE * target:
             break
-    proof = f"{model.proof}, which rounding moves by {apart:.0e}"
+    proof = f"{model.proof}, and rounding changes it by {apart:.0e}"
     return replace(model, floor=max(model.floor, apart), proof=proof)

@@ -130,12 +130,15 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
         listed = list_candidates(name, scene.parts)
         expected = f"gnd or PART.PIN with a part of the scene: {listed}"
     existing = [f"{part}.{pin}" for part in scene.parts if (part, pin) in scene.terminals]
-    near = did_you_mean(target, pins) if pins else did_you_mean(name, scene.parts)
-    if not pins and near is not None and existing:
+    near = None
+    if pins:
+        near = did_you_mean(target, pins) if dot else None
+    elif (near := did_you_mean(name, scene.parts)) is not None:
         similar = next((full for full in existing if repr(full.partition(".")[0]) in near), None)
         near = f"did you mean {similar!r}?" if similar else near
+    advice = near or f"for example  {pins[0] if pins else existing[0] if existing else GROUND}"
     raise UsageError(
-        "this pin does not exist", where=where, got=repr(target), expected=expected, hint=near
+        "this pin does not exist", where=where, got=repr(target), expected=expected, hint=advice
     )
 
 
@@ -325,7 +328,8 @@ def _require_one_output(scene: Scene) -> None:
             got = f"{name}.{pin} and {drivers[net]}"
             where = f"{name}.pins.{pin}"
             message = "two outputs prescribe the same net"
-            raise UsageError(message, where=where, got=got, expected="one output")
+            hint = f"join {name}.{pin} to another pin"
+            raise UsageError(message, where=where, got=got, expected="one output", hint=hint)
         if terminal.signal_out:
             drivers[net] = f"{name}.{pin}"
 
@@ -379,6 +383,7 @@ def _require_ground(scene: Scene) -> None:
             where=floating[0][0],
             got=", ".join(map(".".join, floating)),
             expected='at least one of these pins connected to "gnd"',
+            hint=f'for example  {floating[-1][1]} = "gnd"  in {floating[-1][0]}.pins',
         )
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.quantities import (
     clip_text,
@@ -23,7 +25,7 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
-from kc2spice.scene.overrides import read_overrides, set_key
+from kc2spice.scene.overrides import read_overrides, set_key, write_example
 from kc2spice.scene.parttype import find_part_type, type_names
 from kc2spice.scene.plausible import apply_action, check_drive_levels
 from kc2spice.scene.problems import check_periods, check_scene
@@ -99,7 +101,8 @@ def load_scene(
             hint=f"write overrides=[{clip_text(overrides)!r}]",
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
-    for name, value, place in list(read_overrides(overrides)):
+
+    for name, value, place in list(read_overrides(overrides, partial(_write_override, tables))):
         source.overrides[set_key(data, name, value, place)] = place
     _require_known_parts(data, tables, source)
     try:
@@ -110,6 +113,13 @@ def load_scene(
         if problem.where is not None and not Path(problem.where).is_absolute():
             problem.where = source.where(problem.where)
         raise
+
+
+def _write_override(tables: Mapping[str, Any], key: str) -> str:
+    """Return an override of a key, with the value of the scene."""
+    part = key.partition(".")[0]
+    keys = _list_part_keys(part, tables[part]) if part in tables else []
+    return write_example(key, tables, keys)
 
 
 def _require_known_parts(
@@ -130,7 +140,7 @@ def _require_known_parts(
                 f"{name} is a part of this scene, not a key",
                 where=source.where(name),
                 expected=f"a key of {name}: {list_candidates(name, keys)}",
-                hint=f"write {name}.KEY=VALUE",
+                hint=f"write {write_example(name, tables, keys)}",
             )
         if name in known or not isinstance(table, Mapping) or "part" in table:
             continue
@@ -219,13 +229,35 @@ def _with_default_drive(scene: Scene) -> Scene:
             where="analysis.type",
             got="ac, and no source with an ac value",
             expected=f'a source with ac = "1 V"{at}',
-            hint="leave the electrical port of a body open, which then is driven by 1 V",
+            hint=_advise_drive(exported, ports),
         )
     driven = ports[0][0]
     name = NameAllocator(parts).name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _make_part(name, table, _find_part_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
+
+
+def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
+    """Return the source that an ``ac`` analysis without a source may contain.
+
+    It drives a ``port``, otherwise the first pin of the scene with a force, current or other flow.
+    """
+    for part in scene.parts.values():
+        for pin in part.type.pins(part, scene):
+            domain = pin.domain
+            through = None if domain is None else domain.through
+            if through is None or (ports and (part.name, pin.name) not in ports):
+                continue
+            kind = "voltage" if pin.unit == "V" else through.name
+            if kind in QUANTITIES:
+                unit = QUANTITIES[kind][0].quantity(QUANTITIES[kind][1]).unit
+                keys = "" if kind == "voltage" else f'kind = "{kind}", '
+                return (
+                    f'add [drive] with part = "source", {keys}ac = "1 {unit}" and '
+                    f'pins = {{ out = "{part.name}.{pin.name}" }}'
+                )
+    return 'add a part with part = "source" and ac = "1 V"'
 
 
 def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -300,14 +332,15 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         )
     result = find_part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        error = unknown(
-            "this part type does not exist", selected, type_names(), f"{name}.part", _PARTS_COMMAND
+        raise unknown(
+            "this part type does not exist",
+            selected,
+            type_names(),
+            f"{name}.part",
+            _PARTS_COMMAND,
+            advice=f"run {_PARTS_COMMAND}, which lists all types; "
+            "docs/how-to/own_part.md describes types of your own",
         )
-        error.hint = error.hint or (
-            "a part type of your own needs kc.register_part in Python, or an installed package "
-            "with an entry point in the group kc2spice.parts"
-        )
-        raise error
     return result
 
 

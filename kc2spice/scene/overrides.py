@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from kc2spice.core.errors import UsageError
@@ -17,6 +18,8 @@ _INDEX_PATTERN = r"\[-?[0-9]{1,6}\]"
 _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
+_STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that its examples do not change
+_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # text that a shell does not split or expand
 _SEPARATOR = re.compile(r"[.\[]")
 # pairs of keys that exclude each other
 _EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
@@ -24,9 +27,11 @@ _EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].t
 
 
 def read_overrides(
-    overrides: Sequence[str] | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
 ) -> Iterator[tuple[str, Any, str]]:
     """Yield key, value and place of each override; errors name the place.
+
+    ``example`` returns an override for a key without a value.
 
     Raises
     ------
@@ -37,7 +42,7 @@ def read_overrides(
             yield name, value, f"overrides {clip_text(f'{name}={value}')!r}"
     else:
         for text in expand_overrides(overrides):
-            yield (*_parse_override(text), f"--set {clip_text(text)!r}")
+            yield (*_parse_override(text, example), f"--set {clip_text(text)!r}")
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
@@ -78,19 +83,47 @@ def format_toml(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
-def _parse_override(text: str) -> tuple[str, Any]:
+def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]:
     """Return key and value of ``dotted.key=value``."""
     name, _, value = map(str.strip, text.partition("="))
     if not name or not value:
-        key = clip_text(name) or "KEY"
+        advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
         raise UsageError(
             "the value of the key is missing" if name else "the key is missing",
             where="--set",
             got=repr(clip_text(text)),
             expected=_EXAMPLES,
-            hint=f"write {key}={clip_text(value) or 'VALUE'}",
+            hint=f"write {advice}",
         )
     return name, parse_override_value(value)
+
+
+def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """Return an override of the key ``name``, or of a key below it, with its present value.
+
+    ``tables`` are the tables of the scene, ``keys`` the dotted keys of the part in ``name``.
+    """
+    value: Any = tables
+    for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
+        try:
+            value = value[int(step[1:-1]) if step[0] == "[" else step]
+        except (KeyError, IndexError, TypeError):
+            value = None
+            break
+    while isinstance(value, (Mapping, list)) and value:
+        if isinstance(value, list):
+            name, value = f"{name}[0]", value[0]
+            continue
+        word = next((key for key in value if key not in _STRUCTURAL_KEYS), None)
+        if word is None:
+            break
+        name, value = f"{name}.{word}", value[word]
+    if isinstance(value, (Mapping, list)) or value is None:
+        similar = get_close_matches(name, keys, n=1, cutoff=0.0)
+        below = [key for key in keys if key.startswith(f"{name}.")] or similar
+        return f"{name if name in keys or not below else below[0]}=VALUE"
+    text = f"{name}={value if isinstance(value, str) else format_toml(value)}"
+    return text if _PLAIN_ARGUMENT.fullmatch(text) else f"'{text}'"
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:

@@ -127,7 +127,13 @@ def register(part_type: PartType) -> PartType:
     """
     name = getattr(part_type, "name", "")
     if not name or not hasattr(part_type, "schema"):
-        raise UsageError("a part type needs a name and a schema", where=repr(part_type))
+        raise UsageError(
+            "this object is not a part type",
+            where="register_part",
+            got=repr(part_type)[:120],
+            expected="an instance of a part type with a name and a schema",
+            hint="write a declaration as in docs/how-to/own_part.md",
+        )
     _types[name] = part_type
     return part_type
 

@@ -25,6 +25,8 @@ MAX_LAYER_ASPECT = 10.0  # largest ratio of the thickness of a layer to its widt
 MAX_OVERHANG = 1.02  # largest ratio of diameters, ceramic to plate; wider ceramic breaks off
 # voltage relative to the rated voltage: above 1, a warning; above this ratio, an error
 BREAKDOWN_RATIO = 10.0
+# a value that exceeds a limit by less than this ratio has the right unit: prefixes differ by 1000
+MISTAKEN_UNIT_RATIO = 2.0
 LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage; a lower drive is a warning
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
@@ -35,13 +37,17 @@ def check_range(
     """Yield an error with a reason if a value is outside of ``low`` to ``high``."""
     if not low <= value <= high:
         units = _ALTERNATIVE_UNITS.get(unit, {}).items()
-        fitting = next((name for name, size in units if low <= value * size <= high), None)
+        fitting = next((name for name, size in units if low < value * size <= high), None)
+        if high < value < MISTAKEN_UNIT_RATIO * high:
+            fitting = None  # the unit is right, and the value is only slightly too large
+        limit = high if value > high else low
+        advice = f"{'lower' if value > high else 'raise'} it to {format_quantity(limit, unit)}"
         yield ImplausibleError(
             f"this value is not plausible: {why}",
             where=where,
             got=format_quantity(value, unit),
             expected=f"{format_quantity(low, unit)} to {format_quantity(high, unit)}",
-            hint=fitting and f'did you mean "{value:g} {fitting}"?',
+            hint=f'did you mean "{value:g} {fitting}"?' if fitting else advice,
         )
 
 

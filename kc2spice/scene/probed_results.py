@@ -52,6 +52,7 @@ def require_probed_results(build: Build) -> None:
                 where=scene.where(f"probes.{name}.of"),
                 got=f"{probe.of} in {unit}",
                 expected="a result in Pa, such as the pressure of a listener",
+                hint='use a result in Pa, or another key take, such as take = "max"',
             )
 
 
@@ -64,9 +65,7 @@ def _make_unknown_result_error(
     if owner in parts:
         choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
-        error = unknown("the scene has no such result", name, choices, where)
-        error.hint = error.hint or suggestion
-        return error
+        return unknown("the scene has no such result", name, choices, where, advice=suggestion)
     return unknown(f"this scene has no part {owner!r}", name, parts, where)
 
 

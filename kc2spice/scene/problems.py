@@ -65,6 +65,7 @@ def _check_includes(scene: Scene) -> Iterator[UsageError]:
             where="include",
             got=", ".join(scene.include),
             expected="a netlist part with a subcircuit of these files",
+            hint='delete include, or write part = "netlist" in the table of a part',
         )
 
 
@@ -79,6 +80,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
             where="solver.max_step",
             got=f"{step:g} s",
             expected=f"at most the duration of the simulation, {scene.stop:g} s",
+            hint="delete solver.max_step: steps are then chosen from the error estimate",
         )
     points = scene.stop / step
     if points > MAX_TIME_POINTS:
@@ -110,6 +112,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
                 where="analysis.back",
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
+                hint="delete back",
             )
 
 
@@ -144,6 +147,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             where="analysis.start",
             got=f"{start:g} Hz",
             expected='above 0, or scale = "linear"',
+            hint=f'for example  start = "{stop / 1000:g} Hz"',
         )
     elif math.isinf(stop / start):
         yield UsageError(
@@ -151,6 +155,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             where="analysis.start",
             got=f"{start:g} … {stop:g} Hz",
             expected="at most 308 decades",
+            hint=f'for example  start = "{stop / 1000:g} Hz"',
         )
 
 
@@ -236,7 +241,11 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError(
-            "the key periods needs a transient analysis", where=where, got=got, expected=expected
+            "the key periods needs a transient analysis",
+            where=where,
+            got=got,
+            expected=expected,
+            hint="delete periods",
         )
         return
     period = scene.period
@@ -253,8 +262,14 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     elif count * period > scene.stop * (1 + PERIOD_TOLERANCE):
         got = f"{count} periods of {period:.4g} s"
         expected = f"at most {scene.stop:g} s, the end of the transient"
-        yield UsageError("the window is longer than the run", where=where, got=got,
-                         expected=expected)  # fmt: skip
+        fitting = int(scene.stop / period)
+        yield UsageError(
+            "the window is longer than the run",
+            where=where,
+            got=got,
+            expected=expected,
+            hint=f"write periods = {fitting}" if fitting else "raise the stop of the analysis",
+        )
 
 
 def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator[UsageError]:
@@ -268,6 +283,7 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
             where=f"{where}.take",
             got=f"{selected.type} analysis{' and the key at' if probe.at is not None else ''}",
             expected=f"type = {' or '.join(kinds)}",
+            hint=f'write  type = "{kinds[0]}"  in [analysis], or delete this probe',
         )
 
 
@@ -281,7 +297,8 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
         got = f"a value in {part_unit}"
         article = "an" if selected.type in ("ac", "op") else "a"
         words = f"the unit of this value does not match {article} {selected.type} analysis"
-        yield UsageError(words, where=where, got=got, expected=expected)
+        hint = f"write a value in {unit}" if unit else "write the value without a unit"
+        yield UsageError(words, where=where, got=got, expected=expected, hint=hint)
         return
     band = (selected.start, selected.stop or 0.0)
     ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
@@ -294,6 +311,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
             where=where,
             got=got,
             expected=expected,
+            hint="write a value within this range, or extend the analysis",
         )
 
 

@@ -214,6 +214,10 @@ def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     if first == last:  # otherwise a simulator would never end the sweep
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError(
-            "the range of the sweep is empty", where="analysis.to", got=got, expected=expected
+            "the range of the sweep is empty",
+            where="analysis.to",
+            got=got,
+            expected=expected,
+            hint="write a value of to that differs from from",
         )
     return first, last

@@ -98,7 +98,8 @@ class Rom(Section):
     @classmethod
     def _require_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
-            raise invalid_value_error("the frequency band is empty", "0 <= low < high")
+            hint = 'write the lower frequency first, such as ["0 Hz", "20 kHz"]'
+            raise invalid_value_error("the frequency band is empty", "0 <= low < high", hint=hint)
         return band
 
     @property
@@ -379,7 +380,7 @@ class Analysis(Section):
         try:
             return quantity(stop, unit)
         except UsageError as error:
-            raise invalid_value_error(error.message, error.expected) from None
+            raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
     @property
     def small(self) -> bool:
@@ -492,7 +493,8 @@ class Probe(Section):
                 hint="delete the key periods",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            raise invalid_value_error("the window is empty", "from < to")
+            hint = "exchange from and to" if self.from_ > self.to else "raise to"
+            raise invalid_value_error("the window is empty", "from < to", hint=hint)
         return self
 
 

@@ -14,7 +14,7 @@ from kc2spice.linalg.solver import require_solver
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import DEFAULT_MIN_TOLERANCE, Reduction
-from kc2spice.rom.reductors.registry import reductor_names
+from kc2spice.rom.reductors.registry import reductor_names, require_method_name
 from kc2spice.workflow.reduce_files import DEFAULT_TOLERANCE, load_full_model
 
 
@@ -91,6 +91,11 @@ def compare_methods(
         "shared_cpu_s": shared,
         "methods": rows,
     }
+
+
+def require_method_option(name: str) -> None:
+    """Raise an error if the option ``--method`` names no reduction method."""
+    require_method_name(name, "--method", "leave out --method: all methods are tried then")
 
 
 def _load_model(path: Path | str) -> LinearModel:

@@ -47,7 +47,7 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.heat_network import NetworkForm, require_form
 from kc2spice.rom.instability import explain_instability
-from kc2spice.rom.io import read_rom, write_rom
+from kc2spice.rom.io import read_rom, require_rom_file, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import MAX_POLE_STATES, prove_stability
@@ -631,11 +631,9 @@ def export_rom(
 
 def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
     """Read a reduced model and return its subcircuit; parameters have their defaults."""
-    name, digest = (
-        make_identifier(path.stem, "rom"),
-        hashlib.sha256(path.read_bytes()).hexdigest()[:16],
-    )
-    header = Header(path.stem, digest)
+    require_rom_file(path)
+    name = make_identifier(path.stem, "rom")
+    header = Header(path.stem, hashlib.sha256(path.read_bytes()).hexdigest()[:16])
     if not is_varying(path):
         reduced = read_rom(path)
         return reduced, subcircuit(reduced, name, header, dense=dense)

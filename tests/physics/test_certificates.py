@@ -61,7 +61,7 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
 
 
 @pytest.mark.parametrize(
-    ("unknowns", "dashpot", "way"), [(90, 0.0, "being all"), (310, 0.3, "checked"),
+    ("unknowns", "dashpot", "way"), [(90, 0.0, "these are all states"), (310, 0.3, "compared"),
                                      pytest.param(1310, 0.0, "settled", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
@@ -75,7 +75,9 @@ def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
     exact = oracle.direct(oracle.system(matrices), frequency)
     error = (np.abs(intermediate.pencil.transfer(2j * np.pi * frequency) / exact - 1)).max()
-    rounding = 1e-11 if way == "being all" else 0.0  # numpy's solution is 4e-12 off, ours 6e-14
+    rounding = (
+        1e-11 if way == "these are all states" else 0.0
+    )  # numpy's solution is 4e-12 off, ours 6e-14
     assert 0 < error <= intermediate.error + rounding
 
 

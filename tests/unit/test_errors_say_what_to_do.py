@@ -461,7 +461,12 @@ def test_an_override_of_a_part_that_the_scene_lacks(divider):
             "2",
             "1e-12 to 1",
         ),
-        (("bench", "impact", "--error=x"), "--error: this value is not a number", "x", "a number"),
+        (
+            ("bench", "impact", "--error=x"),
+            "--error: this value is not a number",
+            "x",
+            "a number, 1e-12 to 1",
+        ),
         (
             ("bench", "impact", "--repeats", "0"),
             "--repeats: this value is out of range",

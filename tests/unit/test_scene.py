@@ -70,7 +70,7 @@ MISTAKES = [
     ("kik.drive.voltage=3", ["this scene has no part 'kik'", "did you mean 'kick'"]),
     ("kick.drive.voltage=80 m", ["wrong unit 'm'", "number in V"]),
     ("kick.drive.voltage.x=3", ["is a value, not a table"]),
-    ("kick=3", ["is a part of this scene, not a key", "write kick.KEY=VALUE"]),
+    ("kick=3", ["is a part of this scene, not a key", "write 'kick.side=3 mm'"]),
     ("kick.layers=3.5", ["not a whole number"]),
     ("kick.layers=true", ["not a whole number"]),
     ("kick.layers=0", ["out of range", ">= 1"]),

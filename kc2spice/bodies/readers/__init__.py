@@ -141,6 +141,14 @@ def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float
 
 def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list[AffineTerm]]:
     """Read the constant matrices of a model and the terms that depend on parameters."""
+    if not isinstance(path, (str, Path)):
+        raise UsageError(
+            "this object is not the path of a model",
+            where="path",
+            got=repr(path)[:120],
+            expected="a str or a Path",
+            hint="make a model of matrices by kc.LinearModel(M=M, K=K, B=B)",
+        )
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
         raw.require_file(path)  # raises the error of a missing file

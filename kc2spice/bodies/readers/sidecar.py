@@ -91,7 +91,7 @@ from kc2spice.core.domains import (
     THERMAL,
     TRANSLATION,
 )
-from kc2spice.core.errors import did_you_mean, list_candidates
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import Count, Section, invalid_value_error, validate
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
@@ -448,6 +448,16 @@ def read_sidecar(path: Path) -> Sidecar:
     require_file(path, expected)
     text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_TEXT_BYTES)))
     data = parse_toml_file(text, str(path))
+    parts = [name for name, table in data.items() if isinstance(table, dict) and "part" in table]
+    if parts:
+        raise UsageError(
+            "this file is a scene, not a description of matrices",
+            where=str(path),
+            got=f"the part {parts[0]}",
+            expected="keys of docs/reference/matrices.md",
+            hint=f"kc2spice run {path} simulates the scene, "
+            f"kc2spice reduce {path}:{parts[0]} reduces its part",
+        )
     result = validate(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)
     return result

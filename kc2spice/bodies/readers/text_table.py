@@ -100,7 +100,9 @@ def read_tables(text: str) -> list[TextTable]:
             runs, separator, most = trial, candidate, rows
     if not runs:
         first = next(filter(None, map(str.strip, lines)), "")
-        below = f", below the first line {first[:40]!r}" if first else ""
+        if not first:
+            raise ValueError("the file is empty")
+        below = f", below the first line {first[:40]!r}"
         fewest = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
         raise ValueError(f"{fewest}{below}{_describe_word(lines)}")
     tables, end = list[TextTable](), 0

@@ -59,6 +59,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
                 "the sphere does not move towards the contact",
                 got,
                 "negative (downwards)",
+                f'write  "-{abs(part.keys.velocity or 1):g} m/s"',
             )
 
     def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:

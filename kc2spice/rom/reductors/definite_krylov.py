@@ -94,7 +94,7 @@ def definite_krylov_model(
         met = met + 1 if change <= target else 0
         timer.end_step(change if previous is not None else np.inf)
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
-            proof = f"settled to {change:.0e} of the full model's response"
+            proof = f"more states change the response by {change:.0e}"
             result = IntermediateModel(
                 response, change, True, proof, basis=basis, points=tuple(used)
             )

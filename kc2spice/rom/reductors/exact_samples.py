@@ -137,11 +137,11 @@ def sampled_model(
             limit,
             "ask for a looser tolerance or a narrower band",
         )
-    proof = f"checked against the full model at {len(known.frequency)} frequencies with refined "
+    proof = f"compared with refined solutions of the full model at {len(known.frequency)} "
     response = Response(model)
     at, ratio = response.within(band)
     at = at * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO)) if at.size else np.array(band)
-    proof += "solutions" + uncertainty_note(at, rounding_uncertainty(full, at), 2 * limit)
+    proof += "frequencies" + uncertainty_note(at, rounding_uncertainty(full, at), 2 * limit)
     return IntermediateModel(response, max(recent), True, proof)
 
 

@@ -145,7 +145,7 @@ def rational_krylov_model(
         if CONFIRMATIONS in (met, idle):
             break
     worst = max(recent)
-    proof = f"checked against the full model at {search.points} frequencies"
+    proof = f"compared with the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = removed_stiffness(search.projected, small, band) if small.free else 0.0
     hidden = hidden_support(pencil, search.modal_basis[:, : small.free], band[0])

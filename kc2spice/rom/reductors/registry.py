@@ -27,9 +27,6 @@ _BUILT_IN = (
     Irka(),
 )  # fmt: skip
 # description of where a user's method may be used
-USER_METHODS_TEXT = (
-    "own methods are for Python only: kc.register_reductor, then kc.reduce(..., method=NAME)"
-)
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
 
 
@@ -78,7 +75,8 @@ def _require_reductor(value: object, where: str) -> None:
     """Raise an error if a value is not a reductor or has no name."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
         return
-    expected, hint, got = "an instance of a subclass of kc.Reductor with a name", None, repr(value)
+    expected, got = "an instance of a subclass of kc.Reductor with a name", repr(value)
+    hint = "write a subclass of kc.Reductor as in docs/how-to/own_reductor.md"
     if isinstance(value, type) and issubclass(value, Reductor):
         hint = f"make an instance of the class: {value.__name__}()"
     elif isinstance(value, Reductor):
@@ -96,6 +94,17 @@ def reductor_names() -> list[str]:
     return list(_reductors)
 
 
+def require_method_name(name: str, where: str, advice: str) -> None:
+    """Raise an error if no reduction method has this name.
+
+    ``where`` is the argument or option with the name, ``advice`` the next action if no registered
+    name is similar.
+    """
+    if name not in _reductors:
+        problem = "this reduction method does not exist"
+        raise unknown(problem, name, _reductors, where, advice=advice)
+
+
 def reductor_named(method: str | Reductor) -> Reductor:
     """Return a method by its name, or the method itself.
 
@@ -106,10 +115,9 @@ def reductor_named(method: str | Reductor) -> Reductor:
     if not isinstance(method, str):
         _require_reductor(method, "method")
         return method
-    if method not in _reductors:
-        error = unknown("this reduction method does not exist", method, _reductors, "method")
-        error.hint = error.hint or USER_METHODS_TEXT
-        raise error
+    require_method_name(
+        method, "method", "leave out method, or register your own with kc.register_reductor first"
+    )
     return _reductors[method]
 
 

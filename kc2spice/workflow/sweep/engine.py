@@ -139,7 +139,10 @@ def make_sweep(
         parameter, (kind, words) = PARAMETER_KEY.fullmatch(name), split_range(value)
         if kind != "value":
             if name in ranges:
-                raise UsageError("swept twice", where="--set", got=name)
+                hint = f"delete one of the options --set {name}=…"
+                raise UsageError(
+                    "this key is swept twice", where="--set", got=name, expected="once", hint=hint
+                )
             ranges[name] = value
             firsts += [] if parameter else [f"{name}={words[0]}"]
         elif parameter:

@@ -179,7 +179,7 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
     """Return a number in SI units, a whole number, one of the choices, or a value of TOML."""
     if key.choices and text not in key.choices:
         choices = f"one of {list_candidates(text, key.choices)}"
-        hint = did_you_mean(text, key.choices)
+        hint = did_you_mean(text, key.choices) or f"for example {key.choices[0]}"
         raise UsageError(
             "this value is not one of the choices",
             where=where,
@@ -190,7 +190,11 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
     if key.integer and not re.fullmatch(r"[+-]?\d+", text):
         expected = "a whole number, or a range of whole numbers"
         raise UsageError(
-            "this value is not a whole number", where=where, got=repr(text), expected=expected
+            "this value is not a whole number",
+            where=where,
+            got=repr(text),
+            expected=expected,
+            hint="write digits only, such as 10 or 2:10:5",
         )
     if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return parse_override_value(text)
@@ -310,7 +314,10 @@ def make_plan(
     plan = Plan(tuple(ranges), tuple(blocks), tuple(random))
     if plan.size > MAX_POINTS:
         raise UsageError(
-            "the sweep has too many points", got=plan.size, expected=f"at most {MAX_POINTS}"
+            "the sweep has too many points",
+            got=plan.size,
+            expected=f"at most {MAX_POINTS}",
+            hint="lower the number of points of each key, or sweep fewer keys",
         )
     return plan
 
@@ -325,6 +332,10 @@ def _common_length(lengths: Mapping[str, int], where: str) -> int:
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{key}: {length}" for key, length in lengths.items())
         raise UsageError(
-            "the keys have different numbers of values", where=where, got=got, expected="one number"
+            "the keys have different numbers of values",
+            where=where,
+            got=got,
+            expected="one number",
+            hint=f"write {min(lengths.values())} values for each key",
         )
     return next(iter(lengths.values()))
