@@ -20,7 +20,7 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reductors.vectors import require_vectors, unit_scale
+from kc2spice.rom.reductors.vectors import improve_condition, require_vectors, unit_scale
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import to_hertz, to_schur_form
@@ -138,6 +138,7 @@ class Task:
         V : (n, k) array
             Real basis vectors, the most important first. The model of order q has the first q.
             The scale of the columns has no influence: they are scaled to a norm near one.
+            Columns that are almost linearly dependent are orthogonalised in their order.
         W : (n, k) array, optional
             Real test vectors. By default they are V: a congruence, which preserves symmetry,
             stability and passivity of definite matrices.
@@ -164,11 +165,11 @@ class Task:
             fixed = int(others[:fixed].sum())
             V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
             W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
-        V = unit_scale(V)
+        V = improve_condition(unit_scale(V))
         if W is None:
             pencil = self.core.project(V)
         else:
-            W = unit_scale(W)
+            W = improve_condition(unit_scale(W))
             parts = tuple(W.T @ P @ V for P in self.core.coefficients)
             pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
         pencil, vectors = self.with_rigid_body(pencil), self.add_rigid_body_vectors(V)

@@ -11,6 +11,9 @@ from kc2spice.core.errors import UsageError
 # A unit vector is dependent if its distance to the span of earlier vectors is less than 450 eps.
 # Rounding in a QR factorisation of a few hundred vectors is about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
+# Rounding changes V'KV in its weakest direction by about eps times the square of the condition
+# number of V. Up to this condition number, the relative change is below 3e-10.
+MAX_CONDITION = 1e3
 
 
 def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np.ndarray:
@@ -78,6 +81,23 @@ def unit_scale(V: np.ndarray) -> np.ndarray:
     norms = np.linalg.norm(V, axis=0)
     exponents = np.round(np.log2(np.where(norms > 0, norms, 1.0))).astype(int)
     return np.asarray(np.ldexp(V, -exponents))
+
+
+def improve_condition(V: np.ndarray) -> np.ndarray:
+    """Return vectors of the same spans that are far from linearly dependent.
+
+    A static response differs from a sum of many modes by a small remainder. If the condition number
+    of V exceeds a thousand, the result is Q of ``V = Q R``. For each q, the first q columns of Q
+    and of V span the same space. Other vectors do not change.
+
+    >>> abs(improve_condition(np.array([[1.0, 1.0], [0.0, 1e-6]]))).round(9)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    spectrum = np.linalg.eigvalsh(V.T @ V)  # squares of the singular values
+    if spectrum[0] * MAX_CONDITION**2 >= spectrum[-1]:
+        return V
+    return np.linalg.qr(V)[0]
 
 
 def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
