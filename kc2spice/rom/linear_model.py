@@ -303,10 +303,24 @@ class LinearModel:
         Displacement per force and charge per voltage; times ``s`` they are velocities and
         currents. Solves the operators directly, one factorisation a frequency for sparse models.
 
+        Parameters
+        ----------
+        frequency : (frequencies,) array of float
+            Frequencies f in Hz.
+
         Raises
         ------
         SimulationError : a frequency is a pole.
+        UsageError : the frequencies are complex, such as ``s = j 2 pi f``.
         """
+        if np.iscomplexobj(frequency):
+            raise UsageError(
+                "the frequencies are complex",
+                where="frequency",
+                got=f"an array of {np.asarray(frequency).dtype}",
+                expected="real frequencies f in Hz",
+                hint="pass f instead of s = 2j*pi*f",
+            )
         pencil = self.pencil
         if self.structural:
             K, E, M = pencil.coefficients

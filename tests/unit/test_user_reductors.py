@@ -93,6 +93,48 @@ def test_an_unsymmetric_mass_of_any_size_has_a_state_space_form(mass):
     np.testing.assert_allclose(response, direct, rtol=1e-8)
 
 
+def cantilever(elements=40):
+    """Stiffness and mass of a clamped steel strip of 100 x 10 x 1 mm, in SI units."""
+    h, bending, line_mass = 0.1 / elements, 210e9 * 10e-3 * 1e-3**3 / 12, 7850 * 10e-3 * 1e-3
+    k = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+    m = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) / 420
+    unit = np.array([1, h, 1, h])  # deflections and slopes
+    k, m = bending / h**3 * k * np.outer(unit, unit), line_mass * h * m * np.outer(unit, unit)
+    K, M = np.zeros((2, 2 * elements + 2, 2 * elements + 2))
+    for at in range(0, 2 * elements, 2):
+        K[at : at + 4, at : at + 4] += k
+        M[at : at + 4, at : at + 4] += m
+    return K[2:, 2:], M[2:, 2:]
+
+
+@pytest.mark.parametrize("order", [20, 40, 78, 80])
+def test_a_static_response_beside_many_modes_keeps_its_remainder(order):
+    """Forces at the tip and the middle of a beam, against direct solutions."""
+    (K, M), damping, top = cantilever(), 1e-5, 600.0  # Hz, above the second natural frequency
+    B = np.eye(len(K))[:, [len(K) - 2, len(K) // 2 - 2]]
+    beam = kc.LinearModel(M=M, K=K, B=B, rayleigh=(0.0, damping))
+
+    def basis(task):
+        model = task.model
+        static = np.linalg.solve(model.K, model.B)
+        return task.project(np.hstack([static, eigh(model.K, model.M)[1][:, :-2]]), fixed=2)
+
+    rom = kc.reduce(beam, order=order, band=(0, top), method=UserMethod(basis))
+    frequency = np.linspace(0.0, top, 40)
+    exact = [B.T @ np.linalg.solve(K * (1 + s * damping) + s * s * M, B)
+             for s in 2j * np.pi * frequency]  # fmt: skip
+    assert rom.order == order
+    assert rom.certificate.passive
+    np.testing.assert_allclose(rom.transfer(frequency), exact, rtol=1e-8)
+
+
+@pytest.mark.parametrize("frequency", [2j, [1.0, 2j], np.array([0j])])
+def test_a_complex_frequency_is_an_error(frequency):
+    with pytest.raises(UsageError, match="frequencies are complex") as caught:
+        chain().transfer(frequency)
+    assert "Hz" in caught.value.expected
+
+
 def test_orthonormal_vectors_do_not_change():
     Q = np.linalg.qr(np.random.default_rng(1).standard_normal((N, 7)))[0]
     bases = []
