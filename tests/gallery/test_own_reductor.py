@@ -27,6 +27,12 @@ def test_modal_truncation_needs_the_most_states_of_all_methods(printed):
     assert max(states, key=states.get) == "modal truncation"
 
 
+def test_static_responses_save_more_than_half_of_the_modes(printed):
+    (modes,) = re.findall(r"(?m)^modal truncation +(\d+) unknowns", printed)
+    (corrected,) = re.findall(r"(?m)^(\d+) unknowns", printed)
+    assert 2 * int(corrected) < int(modes)
+
+
 def test_the_table_lists_the_methods_that_exist():
     rows = dict(re.findall(r"(?m)^\| `([\w ]+)` \| .* \| `(\w+)(?:\(.*\))?` \|$", PAGE))
     assert rows == {method.name: type(method).__name__ for method in registry._BUILT_IN}
