@@ -156,6 +156,7 @@ NAMES_BY_MODULE = {
     "kc2spice.physics.cards": "subcircuit_items",
     "kc2spice.physics.contact": "Normal SPACING_NOTE declare_contact",
     "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
+    "kc2spice.physics.junction": "Junction",
     "kc2spice.physics.law": "DeclaredLaw",
     "kc2spice.physics.lookups": "TableFunction",
     "kc2spice.physics.part": "declared_subcircuit",

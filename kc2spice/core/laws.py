@@ -353,6 +353,14 @@ class Device(ABC):
         """Return the mode after ``guard`` fell to zero."""
         return mode
 
+    def limit(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return the inputs at which Newton's method linearises the law next.
+
+        ``e`` are the inputs of the new iterate, ``last`` those of the last linearisation. A law
+        with an exponential function limits the change, so that it does not overflow.
+        """
+        return e
+
     def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
         """Raise SimulationError if the inputs are outside of the law's range."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -11,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.laws import Device, LawPin, Tap
 from kc2spice.core.waveforms import constant_waveform
-from kc2spice.reference.system import System
+from kc2spice.reference.system import PlacedDevice, System
 
 
 class Interval:
@@ -118,14 +120,73 @@ class Interval:
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
         """Solve the algebraic equations for the algebraic unknowns of ``z``."""
         algebraic, rows = ~self.system.differential, ~self.rows
-        z = z.copy()
+        z, tangents = z.copy(), Tangents()
         for _ in range(30 if algebraic.any() else 0):
-            J = self.slopes(t, z)[1][np.ix_(rows, algebraic)]
-            change = np.linalg.lstsq(J, -self.at(t, z)[1][rows], rcond=1e-14)[0]
+            now, limited = tangents.linearise(self, t, z)
+            J = now.slopes(t, z)[1][np.ix_(rows, algebraic)]
+            change = np.linalg.lstsq(J, -now.at(t, z)[1][rows], rcond=1e-14)[0]
             z[algebraic] += change
-            if self.linear or np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max()):
+            small = np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max())
+            if self.linear or (small and not limited):
                 break
         return z
+
+
+@dataclass(frozen=True)
+class _Tangent(Device):
+    """Tangent of a law at the inputs ``point``."""
+
+    law: Device
+    point: np.ndarray
+
+    @property
+    def pins(self) -> tuple[LawPin, ...]:
+        """Pins of the law."""
+        return self.law.pins
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        """Inputs of the law."""
+        return self.law.taps
+
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tangent of the outputs, and its slopes."""
+        out, slope = self.law.evaluate(self.point, mode)
+        return out + slope @ (e - self.point), slope
+
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tangent of the stored quantities, and its slopes."""
+        stored, slope = self.law.store(self.point, mode)
+        return stored + slope @ (e - self.point), slope
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """Tangents of the laws that limit the steps of Newton's method.
+
+    Newton's method linearises all laws at the last iterate. A law with :meth:`Device.limit` is
+    linearised at inputs nearer to the last ones, as in SPICE. ``points`` are the last inputs of
+    each of these laws.
+    """
+
+    points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
+
+    def linearise(self, interval: Interval, t: float, z: np.ndarray) -> tuple[Interval, bool]:
+        """Return the equations near ``z``, and whether a law is not linearised at ``z``."""
+        X, curved, limited = interval.with_sources(t, z), [], False
+        for device, mode in interval.curved:
+            now = device
+            if type(device.law).limit is not Device.limit:
+                e = device.inputs @ X
+                point = device.law.limit(e, self.points.get(device, e))
+                self.points[device] = point
+                if np.any(point != e):
+                    now, limited = replace(device, law=_Tangent(device.law, point)), True
+            curved.append((now, mode))
+        if limited:
+            interval = copy(interval)
+            interval.curved = curved
+        return interval, limited
 
 
 def _evaluate(
@@ -242,11 +303,11 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     # The guess is usually close, so Newton's method is tried first, and overdamped motion if it
     # fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
-    start = z
+    start, tangents = z, Tangents()
     for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
-            z, pace = start, 1e-6
-        interval = rest.interval(z)
+            z, pace, tangents = start, 1e-6, Tangents()
+        interval, limited = tangents.linearise(rest.interval(z), 0.0, z)
         f, J = rest.equations(interval, z)
         step = _newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
@@ -254,7 +315,7 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
             pace *= 0.01  # beyond a fold, a long step would move against the forces
             continue
         z = z + step
-        if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):
+        if pace >= 1e13 and small and not limited and not np.any(interval.guards(0.0, z) < -1e-18):
             return _set_initial_speeds(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(

@@ -26,7 +26,7 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, PortBody, Relation
 from kc2spice.linalg.factor import factorise
-from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
+from kc2spice.reference.equilibrium import Interval, Tangents, equilibrium, join_waves
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
@@ -218,8 +218,9 @@ class _StepIntegrator:
             self.modes[k] = body.begin_stage(second)
         es = self.interval(t).inputs(t, z)
         self._switch_devices(es, 0)
+        tangents = Tangents()
         for count in range(MAX_ITERATIONS):
-            interval = self.interval(t)
+            interval, limited = tangents.linearise(self.interval(t), t, z)
             g, f = interval.at(t, z)
             M, J = interval.slopes(t, z)
             J = J - self.rate * M
@@ -229,7 +230,7 @@ class _StepIntegrator:
             z = z + change
             es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
-            if not self._switch_devices(es, count) and (self.is_affine or small):
+            if not self._switch_devices(es, count) and (self.is_affine or (small and not limited)):
                 for k, body in self.bodies.items():
                     body.finish_stage(es[k], second)
                 return z

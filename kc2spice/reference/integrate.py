@@ -174,15 +174,22 @@ class Radau:
                 "current source",
             )
 
-    @np.errstate(over="ignore", invalid="ignore")
     def take(self, h: float) -> Step | None:
         """Solve one step of length ``h``; None if Newton's method diverges or overflows."""
         self._factor(h)
+        still = np.zeros((self.z.size, 3))
+        if self.before is None:
+            return self._solve_stages(h, still)
+        # The polynomial of a much shorter step extrapolates rounding errors. An exponential law
+        # then overflows, so that the state at the start is the better guess.
+        predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
+        return self._solve_stages(h, predicted) or self._solve_stages(h, still)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _solve_stages(self, h: float, Z: np.ndarray) -> Step | None:
+        """Solve the stages of a step by Newton's method from the increments ``Z`` (n, 3)."""
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
-        Z = np.zeros((self.z.size, 3))
-        if self.before is not None:
-            Z = self.before.at(t) - self.z[:, None]
         scale = self.rtol * (1.0 + np.abs(self.z))
         scale = np.where(self.active, scale, 1e3 * scale)  # inactive states do not propagate errors
         last = 0.0
@@ -200,7 +207,7 @@ class Radau:
                 self.rounding = min(1.0, _ROUNDING_FACTOR * estimate)
                 if size > self.rounding:
                     return None
-            Z += change
+            Z = Z + change
             done = size == 0.0 or (p.linear and k == 0)
             if last > 0.0:
                 done |= size <= self.rounding

@@ -29,6 +29,7 @@ from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.rows import Numerics
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.workflow.analysis_cards import make_analysis_cards
 from kc2spice.workflow.edited_parts import with_edited_parameters
@@ -186,9 +187,7 @@ def _list_options(build: Build) -> Iterable[Option]:
     """
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
-    part_options: list[Option] = []
-    for row in rows:
-        part_options += [Option(key, *why) for key, why in row.options.items()]
+    part_options = _strictest_options(rows)
     if scene.analysis.type != "transient":
         if "reltol" in solver.model_fields_set:
             return [Option("reltol", solver.reltol, "relative error of iterations"), *part_options]
@@ -205,6 +204,16 @@ def _list_options(build: Build) -> Iterable[Option]:
         Option("acct", "", "print accepted and rejected steps, iterations and time"),
         *part_options,
     ]
+
+
+def _strictest_options(rows: Iterable[Numerics]) -> list[Option]:
+    """Return the options that parts require; the smallest value if several parts require one."""
+    result: dict[str, Option] = {}
+    for row in rows:
+        for key, (value, reason) in row.options.items():
+            if key not in result or float(value) < float(result[key].value):
+                result[key] = Option(key, value, reason)
+    return list(result.values())
 
 
 def _step_comment_lines(build: Build) -> Iterator[str]:

@@ -7,17 +7,20 @@ from typing import Any
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.electronics._template import TemplatePart
+from kc2spice.physics.junction import Junction
 from kc2spice.scene.model import (
     Build,
     Part,
     Scene,
     Terminal,
+    WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Vector
+from kc2spice.scene.rows import Neglected, Numerics, Vector
 
 
 class DiodeKeys(Section):
@@ -47,7 +50,6 @@ class Diode(TemplatePart[DiodeKeys]):
     title = heading = "junction diode"
     schema = DiodeKeys
     template = "diode"
-    without_law = "the integrator does not converge where all diodes of a bridge block"
     noise = "shot noise, thermal noise in series at 27 C"
     rating = "it breaks through at bv; its largest current is in the diode's data sheet"
     validity = "27 C, or the temperature of .options temp; no heating"
@@ -67,9 +69,21 @@ class Diode(TemplatePart[DiodeKeys]):
         )
         return params, {}
 
+    def law(self, part: Part[DiodeKeys], build: Build) -> laws.Equations:
+        junction = Junction(part.name, *part.keys.model_dump().values())
+        ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
+        flow = junction.flows[0].pin
+        results = {f"{part.name}.i": laws.scaled_wave(f"{part.name}.{flow}.through")}
+        return laws.Equations((junction,), ends, results)
+
     def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
+
+    def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[Numerics]:
+        if scene.analysis.type != "transient":
+            change = "1e-9", "change at which Newton's method stops: exponential laws"
+            yield Numerics(part.name, options={"reltol": change})
 
     def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys

@@ -1,0 +1,230 @@
+"""Law of a junction diode, with the equations and the constants of ngspice.
+
+The law serves the independent integrator. The netlist of the part is a model of the simulator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.laws import Device, Flow, LawPin, Tap
+from kc2spice.core.quantities import DEFAULT_TEMPERATURE
+
+# J/K and C, constants of ngspice (include/ngspice/const.h; CODATA 2014). With the exact constants
+# of the SI, the thermal voltage is larger by 3.4e-7, and the current at 0.6 V smaller by 8e-6.
+SIMULATOR_BOLTZMANN = 1.38064852e-23
+SIMULATOR_CHARGE = 1.6021766208e-19
+THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
+LEAKAGE = 1e-12  # S, conductance of ngspice in parallel with each junction (option gmin)
+# default parameters of the model D in SPICE; its grading coefficient M is 0.5
+BUILT_IN_VOLTAGE = 1.0  # V, VJ
+FORWARD_SHARE = 0.5  # FC, share of VJ above which the capacitance rises linearly
+BREAKDOWN_CURRENT = 1e-3  # A, IBV, current at the breakdown voltage
+# multiple of the thermal voltage below which ngspice replaces the exponential function in reverse
+REVERSE_RANGE = 3.0
+BREAKDOWN_ITERATIONS = 25  # fixed-point iterations, each 1e-5 of the error of the one before
+# distance from breakdown, in thermal voltages, within which its exponential function is limited
+BREAKDOWN_MARGIN = 10.0
+# change of the voltage, in thermal voltages, above which Newton's method is limited
+SHORT_CHANGE = 2.0
+
+
+def limit_junction_voltage(v: float, last: float, scale: float, critical: float) -> float:
+    """Return the voltage [V] at which Newton's method evaluates an exponential law next.
+
+    ``v`` is the solution of the law that was linearised at ``last``. Above the ``critical`` voltage
+    the exponential function overshoots, so that the current of the linearised law determines the
+    next voltage instead of its voltage (Nagel, SPICE2, Memorandum ERL-M520, Berkeley 1975)::
+
+        exp(next / scale) = exp(last / scale) (1 + (v - last) / scale)
+
+    >>> round(limit_junction_voltage(10.0, 0.6, 0.025, 0.5), 3)
+    0.748
+    """
+    if v <= critical or abs(v - last) <= SHORT_CHANGE * scale:
+        return v
+    if last <= 0.0:
+        return scale * math.log(v / scale)
+    ratio = 1.0 + (v - last) / scale
+    return last + scale * math.log(ratio) if ratio > 0.0 else critical
+
+
+def _exponential(x: float) -> float:
+    """Return ``exp(x)``, or infinity if the result is too large for a float."""
+    try:
+        return math.exp(x)
+    except OverflowError:
+        return math.inf
+
+
+@dataclass(frozen=True)
+class Junction(Device):
+    """Junction from ``anode`` to ``cathode``, in series with a resistance.
+
+    With the voltage ``v`` of the junction, its current consists of ``i(v)`` and of the rate of the
+    charge ``q(v)``. The names of the parameters of SPICE are in brackets::
+
+        i = IS (exp(v/(N VT)) - 1) + gmin v                   for v > -3 N VT
+        i = -IS (1 + (3 N VT/(e v))^3) + gmin v               in reverse
+        i = -IS exp(-(v + VB)/(N VT)) + gmin v                for v < -VB, where i(-BV) = -1 mA
+        q = TT i + integral of CJO/sqrt(1 - v/VJ)             up to VJ/2, then its tangent
+
+    The series resistance may be zero.
+    """
+
+    name: str
+    saturation_current: float  # A, IS
+    emission: float  # N
+    series_resistance: float  # Ohm, RS
+    capacitance: float  # F, CJO
+    transit_time: float  # s, TT
+    breakdown_voltage: float  # V, BV
+
+    @property
+    def pins(self) -> tuple[LawPin, ...]:
+        """Both pins, and the node between the resistance and the junction."""
+        ends = LawPin("anode", "electrical"), LawPin("cathode", "electrical", grounded=True)
+        return (*ends, LawPin("inner", "electrical")) if self.series_resistance else ends
+
+    @property
+    def _plus(self) -> str:
+        """Pin at the upper end of the junction."""
+        return "inner" if self.series_resistance else "anode"
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        """Voltages of the junction and of the resistance."""
+        junction = Tap(self._plus, "cathode")
+        return (junction, Tap("anode", "inner")) if self.series_resistance else (junction,)
+
+    @property
+    def flows(self) -> tuple[Flow, ...]:
+        """Currents of the junction and of the resistance."""
+        junction = Flow(self._plus, "cathode")
+        return (junction, Flow("anode", "inner")) if self.series_resistance else (junction,)
+
+    charged = (0,)
+
+    @cached_property
+    def _scale(self) -> float:
+        """Voltage [V] in which the current rises by the factor e."""
+        return self.emission * THERMAL_VOLTAGE
+
+    @cached_property
+    def _critical_voltage(self) -> float:
+        """Voltage [V] of the largest curvature of ``i(v)`` in units of both axes."""
+        return self._scale * math.log(self._scale / (math.sqrt(2.0) * self.saturation_current))
+
+    @cached_property
+    def _breakdown_start(self) -> float:
+        """Reverse voltage VB [V] beyond which the current rises exponentially.
+
+        The current at the breakdown voltage BV is IBV, or ``IS BV / VT`` if this is larger::
+
+            VB = BV - N VT ln(IBV / IS + 1 - VB / VT)
+        """
+        ratio = BREAKDOWN_CURRENT / self.saturation_current
+        start = self.breakdown_voltage
+        if ratio < start / THERMAL_VOLTAGE:
+            return start
+        start -= self._scale * math.log(1.0 + ratio)
+        for _ in range(BREAKDOWN_ITERATIONS):
+            rise = math.log(ratio + 1.0 - start / THERMAL_VOLTAGE)
+            start = self.breakdown_voltage - self._scale * rise
+        return start
+
+    def _current(self, v: float) -> tuple[float, float, float]:
+        """Return the current [A] at a voltage, its slope [S], and its integral [W] from 0 V."""
+        current, slope, content = self._exponential_current(v)
+        return current + LEAKAGE * v, slope + LEAKAGE, content + 0.5 * LEAKAGE * v**2
+
+    def _exponential_current(self, v: float) -> tuple[float, float, float]:
+        """Return the current [A] without ``gmin``, its slope [S], and its integral [W]."""
+        current, scale = self.saturation_current, self._scale
+        first, last = -REVERSE_RANGE * scale, -self._breakdown_start
+        if v >= first:
+            rise = current * _exponential(v / scale)
+            return rise - current, rise / scale, scale * (rise - current) - current * v
+        begin = current * (scale * (math.exp(-REVERSE_RANGE) - 1.0) - first)
+        width = REVERSE_RANGE * scale / math.e
+
+        def integrate_reverse(v: float) -> float:
+            """Return the integral of the current from 0 to a voltage in reverse."""
+            return begin - current * (v - first + 0.5 * width**3 * (first**-2 - v**-2))
+
+        if v >= last:
+            decay = (width / v) ** 3
+            return -current * (1.0 + decay), 3.0 * current * decay / v, integrate_reverse(v)
+        rise = current * _exponential((last - v) / scale)
+        return -rise, rise / scale, integrate_reverse(last) + scale * (rise - current)
+
+    def _depletion(self, v: float) -> tuple[float, float, float]:
+        """Return the charge [C] of the capacitance, the capacitance [F], and the coenergy [J]."""
+        volt, below = BUILT_IN_VOLTAGE, min(v, FORWARD_SHARE * BUILT_IN_VOLTAGE)
+        root = math.sqrt(1.0 - below / volt)
+        charge, farad = 2.0 * self.capacitance * volt * (1.0 - root), self.capacitance / root
+        coenergy = 2.0 * self.capacitance * volt * (below - volt * (1.0 - root * root * root) / 1.5)
+        over = v - below
+        slope = 0.5 * farad / (volt * root * root)  # of the tangent, dC/dv at FC VJ
+        coenergy += over * (charge + over * (farad / 2.0 + over * slope / 6.0))
+        return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
+
+    def _charge(self, v: float) -> tuple[float, float, float]:
+        """Return the charge [C] at a voltage, the capacitance [F], and the energy [J]."""
+        current, slope, content = self._current(v)
+        charge, farad, coenergy = self._depletion(v)
+        charge += self.transit_time * current
+        energy = v * charge - coenergy - self.transit_time * content
+        return charge, farad + self.transit_time * slope, energy
+
+    def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the currents and conductances of the junction and of the resistance."""
+        slope = [self._current(float(e[0]))[1]]
+        if self.series_resistance:
+            slope.append(1.0 / self.series_resistance)
+        return self.evaluate_outputs(e, mode), np.diag(slope)
+
+    def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the currents of the junction and of the resistance."""
+        current = self._current(float(e[0]))[0]
+        return np.array([current, *(e[1:] / (self.series_resistance or 1.0))])
+
+    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the charge [C] of the junction and its derivatives [F]."""
+        charge, farad, _ = self._charge(float(e[0]))
+        return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
+
+    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the charge [C] of the junction."""
+        return np.array([self._charge(float(e[0]))[0]])
+
+    def energy(self, e: np.ndarray, mode: Any) -> float:
+        """Return the energy [J] of the charge."""
+        return self._charge(float(e[0]))[2]
+
+    def loss(self, e: np.ndarray, mode: Any) -> float:
+        """Return the power [W] of the junction and of the resistance."""
+        return float(e @ self.evaluate(e, mode)[0])
+
+    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return shot noise of the density ``2 q |i|`` and thermal noise of the resistance."""
+        out, slope = self.evaluate(e, mode)
+        powers = np.diagonal(slope).copy()
+        powers[0] = abs(out[0]) / (2.0 * THERMAL_VOLTAGE)
+        return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
+
+    def limit(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Limit the voltage of the junction, forward and in breakdown."""
+        v, before = float(e[0]), float(last[0])
+        start, scale, critical = self._breakdown_start, self._scale, self._critical_voltage
+        if v < min(0.0, -start + BREAKDOWN_MARGIN * scale):
+            over = limit_junction_voltage(-v - start, -before - start, scale, critical)
+            v = -over - start
+        else:
+            v = limit_junction_voltage(v, before, scale, critical)
+        return np.array([v, *e[1:]])
