@@ -280,8 +280,8 @@ def reduce_affine(
     tolerance : float
         Largest relative error over the band and over the ranges.
     band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz. The default is the band of the model. Without one, the
-        band ends a little above the fifth natural frequency in the middle of the ranges.
+        Lowest and highest frequency in Hz. The default is the band of the model. If the model has
+        no band, it ends a little above the fifth natural frequency in the middle of the ranges.
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     progress : callable, optional
@@ -349,8 +349,8 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
-    """Reduce heat models over the ranges of a task; heat flows into all ports are given."""
-    from kc2spice.rom.heat_ranges import HeatReduction  # other models do not need it
+    """Reduce heat models over the ranges of a task, with heat flows as inputs of all ports."""
+    from kc2spice.rom.heat_ranges import HeatReduction  # models of other kinds need no import
 
     return HeatReduction(task.full, task.axes).reduce(task)
 

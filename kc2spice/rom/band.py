@@ -32,8 +32,8 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
 
     Raises
     ------
-    UsageError : the model has no natural frequency, so a band is required. Or it is too large for
-        this machine.
+    UsageError : the model has no natural frequency, so a band is required, or the model is too
+    large for this machine.
     """
     try:
         if pencil.degree == 2 and pencil.symmetric:
@@ -58,10 +58,10 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
 
 
 def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
-    """Compute the ``count`` lowest squared natural frequencies [1/s2].
+    """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
     The model is symmetric and of second order. Rigid-body modes do not count. The result contains
-    all modes if there are fewer.
+    all modes if the model has fewer than ``count``.
 
     Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
     ``x'Kx`` is within the rounding error of the entries of K is a rigid-body mode.
@@ -113,7 +113,7 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
 def find_band_end(pencil: Pencil, count: int, high: float) -> float:
     """Return the frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
 
-    The result is ``high`` if there are fewer modes, or if the modes cannot be computed.
+    The result is ``high`` if the model has fewer modes, or if the modes cannot be computed.
     """
     pencil = reduced_form(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:

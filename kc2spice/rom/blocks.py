@@ -2,9 +2,9 @@
 
 A real pole is one block, and a complex pair is one 2 x 2 block. Repeated poles, poles whose
 separation would lose accuracy, and defective poles remain in one larger block. Source: Bavely and
-Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled by Sylvester
-equations of bounded solution. The bound is raised as long as the response keeps its accuracy,
-because a netlist grows with the square of the size of a block.
+Stewart, SIAM J. Numer. Anal. 16 (1979) 359: Sylvester equations decouple clusters of poles in the
+real Schur form, as long as the size of their solution is limited. The bound is raised as long as
+the response keeps its accuracy, because a netlist grows with the square of the size of a block.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
 
 
 def _read_blocks(model: LinearModel) -> BlockModel | None:
-    """Return the blocks of a first-order model without a change of its states.
+    """Return the blocks of a first-order model whose states already form blocks.
 
     The result is None for models of other forms. E must be diagonal, with ones before zeros, and
     the states must form small blocks. Rows with zero E are algebraic equations and remain in the
@@ -145,7 +145,7 @@ def _split_schur_form(
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """Split the real Schur form from the top.
 
-    A block takes in the nearest pole if a split would be inaccurate.
+    The nearest pole joins a block if a split would be inaccurate.
     """
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0

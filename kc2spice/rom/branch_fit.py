@@ -172,8 +172,8 @@ def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
     """Limit the time of an element to ``slowest``, and its Q to :data:`MAX_Q`.
 
-    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values. The
-    samples determine Y in the band, which does not change.
+    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values, and Y
+    in the band does not change.
     """
     amplitude, *others = element.logs
     excess = _log_time(element) - slowest if others else 0.0

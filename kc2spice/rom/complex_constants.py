@@ -101,7 +101,7 @@ class ComplexConstants:
 
 
 def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
-    """The entries of D among electrical ports, the others zero."""
+    """Return D with zeros for all ports that are not electrical."""
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
 

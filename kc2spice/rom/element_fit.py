@@ -237,7 +237,7 @@ class Samples:
         return np.asarray(self.response(elements) / self.Y - 1)
 
     def misfit(self, elements: Elements) -> np.ndarray:
-        """Logarithm (n,) complex of a sum of elements by the samples."""
+        """Complex logarithm (n,) of the ratio of a sum of elements to the samples."""
         ratio = self.response(elements) / self.Y
         return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
 
@@ -258,7 +258,7 @@ class Samples:
         )
 
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
-        """Convert numbers (n,) to real rows, and append ``dc`` as a share of the conductance.
+        """Convert complex numbers (n,) to real rows, and append the residual ``dc``.
 
         The last row is omitted if the conductance has no value or no weight.
         """

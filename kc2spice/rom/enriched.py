@@ -1,10 +1,10 @@
 """Errors of reduced models in the time domain, from models with more states.
 
 A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
-frequency counts as an error of 100 %, even if the loads of a run do not excite it. The recorded
-loads weight the error by their spectrum: the responses of both models to these loads are compared
-over time. The responses are exact for loads that are linear between the points. The model of more
-states also has the motions above the band, which contact excites.
+frequency counts as an error of 100 %, even if the loads of a run do not excite it. The responses of
+both models to the recorded loads are therefore compared over time. The responses are exact for
+loads that are linear between the points. The model with more states also contains motions above the
+band, which a contact excites.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Orders:
         return krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Reduce to an order as :func:`reduce_model` does for contacts."""
+        """Return the reduced model of an order, with massless highest modes as for a contact."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 

@@ -18,7 +18,7 @@ PEAK_SHARE = 1e-6
 # An entry counts as zero below this share of the geometric mean of its row and column. Rounding
 # causes about eps times the Q factor of the resonance, 2e-13 for a Q factor of 1000.
 ZERO_ENTRY = 1e-11
-BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining factor
+BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
 
 
 def reference_share(norm: str) -> float:
@@ -45,8 +45,7 @@ class Entries:
     ) -> Entries:
         """Make the entries of the response H (frequencies, outputs, inputs).
 
-        The ``peak`` may be known, or that an entry is ``zero`` although rounding exceeds the limit
-        at a resonance.
+        The caller may state the ``peak`` of each entry, and entries that are ``zero``.
         """
         size = np.abs(H)
         peak = size.max(axis=0, initial=0.0) if peak is None else np.asarray(peak, dtype=float)
@@ -58,7 +57,7 @@ class Entries:
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
     def base(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
-        """Sizes that errors of the response H (..., outputs, inputs) are relative to.
+        """Return the sizes to which errors of the response H (..., outputs, inputs) are relative.
 
         Each reference is the size of the entry, but at least this ``share`` of its peak.
         """

@@ -26,7 +26,7 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-# multiples of the end of the band at which contacts still excite a body
+# multiples of the end of the band, up to which contacts excite a body
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
 # Settings of the search for the largest error, chosen by trial; tests/physics/test_certificates.py
 # compares its result with errors on fine grids.
@@ -102,8 +102,8 @@ def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Place ``ZOOM_FREQUENCIES`` frequencies from each ``known[low]`` to ``known[high]``.
 
-    Frequencies that are ``known`` are left out, and each of the others occurs once. If two
-    frequencies differ only by rounding, one could hide a maximum next to the other.
+    The result contains no ``known`` frequency, and each frequency once: frequencies that differ
+    only by rounding could hide a maximum.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
     points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
@@ -146,7 +146,7 @@ class ErrorEstimator:
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
-        """Mask of entries that are more than the cancellation of their terms.
+        """Return a mask of the entries that exceed the rounding errors of their terms.
 
         Entries that are zero by symmetry count relative to their row and column.
         """
@@ -158,8 +158,8 @@ class ErrorEstimator:
     def failed(self) -> dict[float, np.ndarray]:
         """Frequencies [Hz] of the largest errors so far, with the exact response.
 
-        The latest are the last. The next inaccurate model is likely to fail at these first. The
-        first frequencies are a coarse grid over the band.
+        The list begins with a coarse grid over the band and ends with the latest frequencies, at
+        which the next inaccurate model probably fails.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))

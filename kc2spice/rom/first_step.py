@@ -77,7 +77,8 @@ def intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
-        # Without a proof of stored energy, a congruence converges only with well-conditioned modes.
+        # Unless the stored energy is proven positive, a congruence converges only with
+        # well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return sampled_model(full, band, target, limit)
@@ -89,7 +90,7 @@ def intermediate_model(
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if expects_cholesky(pencil):  # the memory was checked for a Cholesky factor only
+    if expects_cholesky(pencil):  # the check of the memory covered only a Cholesky factor
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scaled(2 * np.pi * band[1])
     states = pencil.degree * pencil.size

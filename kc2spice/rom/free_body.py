@@ -135,8 +135,9 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
     """Find modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
 
-    The ``factor`` belongs to the shifted elastic stiffness. Modes without elastic forces that
-    change potentials have energy. No column is returned if the next mode is not above the shift.
+    The ``factor`` belongs to the shifted elastic stiffness. Modes that change electric potentials
+    have energy, even without elastic forces. The result has no columns if the first elastic mode is
+    below the shift.
     """
     K, _, M = pencil.coefficients
     rng, count = np.random.default_rng(0), BLOCK_VECTORS

@@ -132,7 +132,7 @@ def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
 
 
 def heat_ladder(model: LinearModel) -> HeatLadder | None:
-    """Return the ladder whose matrices a model has; None if the model has another form."""
+    """Return the ladder of a model; None if its matrices do not have the form of a ladder."""
     one = len(model.ports) == 1 and model.ports[0].domain is THERMAL
     if not one or not model.symmetric or (model.B != 1).any():
         return None
@@ -148,7 +148,7 @@ def heat_ladder(model: LinearModel) -> HeatLadder | None:
 
 
 def require_form(form: str | None, where: str) -> NetworkForm | None:
-    """Return the form of a network, None without one.
+    """Return the form of a network, or None if no form is requested.
 
     Raises
     ------

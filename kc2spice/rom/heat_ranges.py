@@ -8,9 +8,9 @@ The matrices of the full models are sums of terms with powers of the parameters 
 The dependence on the parameters therefore remains exact, however wide the range is. If all terms
 have no negative eigenvalue, the model is passive for all values of the parameters. V spans the
 reduced models at a few values. Values are added where the error is largest, until the error is
-within the tolerance at all samples of the ranges. Then directions are removed that contribute least
-to the responses. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections 3.4 and
-4.1: greedy sampling and a global basis.)
+within the tolerance at all samples of the ranges. The directions that contribute least to the
+responses are then removed. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections
+3.4 and 4.1: greedy sampling and a global basis.)
 """
 
 from __future__ import annotations
@@ -59,11 +59,12 @@ BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are 
 FINAL_SHARE = 0.6  # share of the tolerance at the samples
 SAFETY = 1.5  # margin for values between the samples
 SAMPLES = 8  # random samples of the ranges for each parameter, beside their corners
-CHECKS = 4  # and a corner: full models that are not used for the reduction
-ROUNDS = 4  # times that checked values become samples, because the error was too large there
+CHECKS = 4  # full models that only test the result; one more is at a corner of the ranges
+ROUNDS = 4  # how often test values with a too large error may become samples
 MOST_VALUES = 40  # values of the parameters whose reduced models the basis spans
 DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest
-CLIPPED = 1e-6  # size of a negative eigenvalue that is rounding, relative to the largest one
+# negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
+CLIPPED = 1e-6
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
 
 
@@ -195,7 +196,7 @@ class _Ranges:
         inner, flows = select_live_ports(parts.inner), None
         if self.given:
             flows = FlowReference.of(model, parts, task.band, task.norm, task.tolerance)
-        if self.flows:  # which include the answers to given temperatures
+        if self.flows:  # these directions include the responses to given temperatures
             sources = names_of(parts.inner.ports[: len(parts.shares)])
             live = [name for name in names_of(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
@@ -237,7 +238,7 @@ class _Reference:
         return self.flows.error(model, split_given(model, self.ranges.given))
 
     def _static_error(self, ours: GivenTemperatures) -> float:
-        """Largest relative error of the static answers to given temperatures."""
+        """Largest relative error of the static responses to given temperatures."""
         share = reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
@@ -256,9 +257,9 @@ class _Reference:
 class _Basis:
     """Directions of the reduced models at values of the parameters, with their weights.
 
-    The unknowns that are not given are ``psi T_i + W c``, with the static answers ``psi`` at the
-    middle of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share
-    in the static response of a port, or a difference of static answers to ``psi``. If some terms
+    The unknown temperatures are ``psi T_i + W c``, with the static responses ``psi`` at the middle
+    of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share in the
+    static response of a port, or the difference of a static response to ``psi``. If some terms
     conduct no heat to the ambient, the rows of ``psi`` sum to one, so that a temperature of the
     whole body is a vector of ones and zeros in these coordinates.
     """
@@ -360,7 +361,7 @@ class _Basis:
 
 
 def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
-    """Return ``V' matrix V`` without negative eigenvalues that are rounding.
+    """Return ``V' matrix V`` without negative eigenvalues that are rounding errors.
 
     Conductances of an insulated body have an eigenvalue of zero, which is the difference of far
     larger numbers.

@@ -58,7 +58,7 @@ def reduce_with_interfaces(
     model : heat model with E and K; the column of B of each port that is given contains one 1.
     given : names of these ports.
     parts : the result of :func:`split_given` if it is known.
-    flows : whether the basis is one for the heat flows into these ports, too.
+    flows : whether the basis also represents the heat flows into these ports.
     measured : whether these heat flows are compared with the tolerance, and included in the error.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
         :func:`kc2spice.rom.reduce.reduce_model`.
@@ -107,7 +107,7 @@ def reduce_with_interfaces(
 def _reduce_driven(
     model: LinearModel, parts: GivenTemperatures, aims: Mapping[str, Any]
 ) -> LinearModel:
-    """Reduce the model of ``T_e`` for all inputs, or without ``E_ei`` if rounding prevents this."""
+    """Reduce the model of ``T_e``; the input ``E_ei`` is omitted if rounding errors require it."""
     try:
         return _reduce_definite(drive_unknowns(model, parts), aims)
     except SimulationError:
@@ -147,8 +147,8 @@ def no_congruence_error(model: LinearModel) -> UsageError:
 def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a model whose K is positive definite.
 
-    The rates of a small model may differ by 12 orders of magnitude. In the coordinates of its modes
-    K is one, so that slow modes are not taken for heat that nothing leads away.
+    The rates of a small model may differ by 12 orders of magnitude. In modal coordinates K is the
+    unit matrix, so that a slow mode is not mistaken for a body without a path for its heat.
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)

@@ -22,7 +22,7 @@ ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, 
 
 
 def keeps_all_heat(K: sparse.csc_array) -> bool:
-    """Whether one temperature of all unknowns moves no heat."""
+    """Return whether a uniform temperature causes no heat flow."""
     return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
 
 
@@ -69,14 +69,14 @@ def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
     conductance = symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
     if keeps_all_heat(K):
-        # one temperature everywhere moves no heat
+        # a uniform temperature causes no heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
     return GivenTemperatures(at, others, psi, shares, conductance, symmetric_part(stored), inner)
 
 
 def select_live_ports(model: LinearModel) -> LinearModel:
-    """Return the model without ports that act on no unknown."""
+    """Return the model without ports whose column of B is zero."""
     live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
     return model.select([model.ports[k].name for k in live])
 

@@ -124,7 +124,7 @@ def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> M
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """Parse all numbers of a text between blanks or commas, in linear time.
+    """Parse a text of numbers, separated by blanks or commas, in linear time.
 
     Fortran's ``1.5D+3`` is a number.
 
@@ -156,7 +156,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
+    """Return the whole symmetric matrix of a stored triangle; with ``sign`` -1, the skew matrix."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 

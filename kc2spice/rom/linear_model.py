@@ -160,20 +160,20 @@ class LinearModel:
     order with ``A = -K``.
 
     ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
-    ``D`` (outputs, inputs) dense. All values are SI and of the *whole* device. A missing ``C`` is
-    ``B'``, a missing ``D`` zero, a missing ``E`` zero in second order and one in first order.
-    ``rayleigh = (alpha, beta)`` replaces ``E`` by ``alpha M + beta K``. ``K`` (or ``A``) may be a
-    :class:`kc2spice.rom.pencil.Schur` complement, which eliminates massless unknowns exactly
-    without the dense result; see :func:`with_potentials`.
+    ``D`` (outputs, inputs) dense. All values have SI units and apply to the *whole* device. A
+    missing ``C`` is ``B'``, a missing ``D`` zero, a missing ``E`` zero in second order and one in
+    first order. ``rayleigh = (alpha, beta)`` replaces ``E`` by ``alpha M + beta K``. ``K`` (or
+    ``A``) may be a :class:`kc2spice.rom.pencil.Schur` complement, which eliminates massless
+    unknowns exactly without the dense result; see :func:`with_potentials`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
-    follow the same order (an input has no row, an output no column). The default are signals
-    ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
+    follow the same order (an input has no row, an output no column). By default, the ports are
+    signals ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
-    A complex K is structural damping: K is its real part. ``loss_factor`` is eta of ``K (1 + j
-    eta)``, and may be stated instead. ``loss`` is any other imaginary part, such as that of several
-    materials, symmetric and positive semi-definite. A model with structural damping has a frequency
-    response; only :func:`kc2spice.reduce` converts it to a circuit.
+    A complex K contains structural damping: K is its real part. ``loss_factor`` is eta of ``K (1 +
+    j eta)``, and may be stated instead. ``loss`` is any other imaginary part, such as that of
+    several materials, symmetric and positive semi-definite. A model with structural damping has a
+    frequency response; only :func:`kc2spice.reduce` converts it to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
@@ -294,14 +294,14 @@ class LinearModel:
 
     @property
     def symmetric(self) -> bool:
-        """Every operator equals its transpose and ``C = B'``."""
+        """Whether every matrix equals its transpose, and ``C = B'``."""
         return self.pencil.symmetric and self.pencil.collocated
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
         """``H(j 2 pi f)`` (frequencies, outputs, inputs) complex: y per u in SI.
 
         Displacement per force and charge per voltage; times ``s`` they are velocities and
-        currents. Solves the operators directly, one factorisation a frequency for sparse models.
+        currents. Sparse models need one factorisation for each frequency.
 
         Parameters
         ----------
@@ -385,9 +385,9 @@ class LinearModel:
     def poles(self) -> np.ndarray:
         """Compute all finite poles [1/s], complex.
 
-        The work is dense, for models of up to a few thousand unknowns.
+        The computation uses dense matrices and suits models of up to a few thousand unknowns.
 
-        Structural damping has no such form and is left out.
+        Structural damping has no such form and is omitted.
         """
         return self.pencil.poles()
 
@@ -658,7 +658,7 @@ def stores_one_triangle(matrix: Matrix) -> bool:
 
 
 def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
-    """Return the pair as two floats, or None."""
+    """Return the coefficients alpha and beta as two floats, or None."""
     if pair is None:
         return None
     try:

@@ -8,8 +8,9 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
 approximates it by a spring, a dashpot, springs in series with dampers, and a mass. A dashpot
 ``v = h / w_j`` alone is exact at the resonance ``w_j``; its loss grows with frequency, so that the
 flanks of the resonance differ by a quarter of the loss factor ``eta = h / k``, relative to the
-peak. With one relaxation of rate ``w_j`` the loss is flat there, and a little more mass cancels the
-growth of stiffness that causality demands: value and slope of the dynamic stiffness are exact,
+peak. With one relaxation of rate ``w_j`` the loss is constant near the resonance, and a slightly
+larger mass compensates the increase of stiffness that causality requires: value and slope of the
+dynamic stiffness are exact,
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
@@ -80,7 +81,7 @@ def relaxing_oscillator(
     weight : (n,) array
         Weight of the difference at each frequency.
     rates : (k,) array
-        Rates ``r_l`` [1/s]; those that the fit does not use are left out.
+        Rates ``r_l`` [1/s]; the result omits rates that the fit does not use.
     """
     columns = np.column_stack([np.ones(s.size), s, s**2, s[:, None] / (s[:, None] + rates)])
     scale = np.abs(columns * weight[:, None]).max(axis=0)

@@ -31,7 +31,7 @@ POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
 PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of powers
 CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
 EXACT = 1e-9  # largest relative rounding error of an entry
-NEGLIGIBLE = 1e-12  # share of a term in an entry that is rounding
+NEGLIGIBLE = 1e-12  # share of an entry below which a term is a rounding error
 LETTERS = "EK"
 
 _Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
@@ -79,8 +79,8 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
     Raises
     ------
-    UsageError : the matrices of a parameter are not such a sum, or the parameter changes B or the
-    number of unknowns.
+    UsageError : the matrices are not such a sum, or a parameter changes B or the number of
+    unknowns.
     """
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
 
@@ -116,7 +116,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
 
     def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
-        """Whether the sum is the full model at these coordinates."""
+        """Return whether the sum equals the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
         ours = terms.at({axis.name: axis.value(x) for axis, x in pairs})
         for letter, matrix in matrices_at(coordinates).items():
@@ -145,7 +145,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Remove entries of terms that are rounding errors relative to the other terms."""
+    """Remove entries that are rounding errors, relative to the same entry of other terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):

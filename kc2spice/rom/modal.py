@@ -5,9 +5,10 @@ from the resonators.
 
 Residual modes without inertia
     A reduced model keeps the compliance of its ports exact by some stiff modes far above its band.
-    The body does not have these modes. Behind the spring of a contact, their inertia is a mass
-    that rattles. Component mode synthesis with a massless boundary omits the inertia and keeps
-    compliance and damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
+    The body does not have these modes. In series with the stiffness of a contact, their inertia
+    causes oscillations that the body does not have. Component mode synthesis with a massless
+    boundary omits the inertia and keeps compliance and damping (Monjaraz Tec, Gross and Krack 2021,
+    arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
@@ -62,9 +63,9 @@ class Resonators(EqualByContent):
     The outputs are ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
     ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). ``m_j`` is one,
-    but zero of the last ``massless`` states, which relax within ``damp_j / omega_j^2``. Reciprocal
-    by form, stable for ``damp >= 0`` and passive for ``D`` positive semi-definite.
-    For an electrical port u is the voltage and y the charge.
+    but zero of the last ``massless`` states, which relax within ``damp_j / omega_j^2``. The form is
+    reciprocal, stable if ``damp >= 0``, and passive if ``D`` is positive semi-definite. For an
+    electrical port u is the voltage and y the charge.
     """
 
     omega: np.ndarray
@@ -107,7 +108,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     The result is None if M or K is not positive definite, if C is not B', or if damping couples
     modes.
 
-    Solved as ``M phi = mu K phi`` because K is the better conditioned of the two.
+    The equation is ``M phi = mu K phi``, because K has the better condition.
     """
     if rom.first_order or not rom.symmetric:
         return None
@@ -151,9 +152,9 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 
     The coupling of an electrical port is the effective factor ``k = sqrt(C_j / (C_j + C_above))``.
     The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and ``C_above`` is
-    the capacitance of all higher modes and of the clamped body. For a mode far from others, ``k^2
-    = 1 - (f_r / f_a)^2``. The coupling of any other port is the static share ``gain_j^2 /
-    omega_j^2``.
+    the capacitance of all higher modes and of the clamped body. For a mode far from all other
+    modes, ``k^2 = 1 - (f_r / f_a)^2``. The coupling of any other port is the static share
+    ``gain_j^2 / omega_j^2``.
 
     If damping couples modes, the modes belong to the poles, and ``omega_j`` is the magnitude of a
     pole. Motions without stiffness are omitted. The result is None for a model of first order,
@@ -245,10 +246,8 @@ ZERO_SINGULAR_VALUE = 1e-12
 
 
 def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
-    """Replace the highest modes of a model by states without inertia.
-
-    The error in its certificate becomes larger. Modes are replaced from the highest one down, as
-    long as
+    """Replace the highest modes of a model by states without inertia. The error in the certificate
+    of the model increases accordingly. Modes are replaced from the highest one down, as long as
 
     * the inertia that is left out changes the response of every mechanical port at the end f of the
       certificate's band by less than ``MASSLESS_ERROR`` of its static compliance, ``sum_j (g_j /
@@ -484,7 +483,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
 def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit the fewest relaxations to :func:`permittivity` in the band.
+    """Fit a sum with the fewest terms ``a_k / (1 + s t_k)`` to :func:`permittivity` in the band.
 
     The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
     difference. The error is at most ``error``, or the smallest possible error.
@@ -513,8 +512,8 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     """Add a loss tangent of the free body at 1 kHz to a model.
 
     The loss tangent is constant in the band of the certificate, whose error includes the error of
-    the sum. The motional and the clamped capacitance of several electrodes are the sums over all
-    of them, each with the others shorted.
+    the sum. The motional and the clamped capacitance are sums over all electrodes; each value
+    applies with all other electrodes shorted.
 
     Raises
     ------

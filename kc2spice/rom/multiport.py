@@ -84,7 +84,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     model = _convert_to_admittance(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # an uncoupled entry has no size
+    # the entries of ports without coupling are zero
     deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -101,7 +101,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 
 
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
-    """Best passive fit over a range of pole numbers.
+    """Return the best passive fit over a range of numbers of poles.
 
     The search begins with the most accurate fits, and ends at the first passive model that is about
     as accurate as the best fit before passivity was enforced. If there is no such model, the
@@ -136,7 +136,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 def _generate_fits(
     f: np.ndarray, S: np.ndarray, noise: float, where: str
 ) -> list[tuple[float, ABCD]]:
-    """Fits with increasing numbers of poles, with their deviations, the least first."""
+    """Yield fits and their deviations, with increasing numbers of poles."""
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
@@ -145,7 +145,8 @@ def _generate_fits(
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # iterations that end early; the deviation decides
+            # vector fitting may end early; the deviation shows whether its poles are usable
+            warnings.simplefilter("ignore")
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
             except (np.linalg.LinAlgError, ValueError):
@@ -171,9 +172,8 @@ def _generate_fits(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Find the nearest passive state space with the same poles.
-
-    The result is None without such a fit.
+    """Find the nearest passive state space with the same poles. The result is None if there is no
+    such state space.
 
     Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
     in a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
@@ -190,7 +190,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     n, m = B.shape
     top = 2 * np.pi * float(f[-1])
     states = np.linalg.solve(2j * np.pi * f[:, None, None] * np.eye(n) - A, B.astype(complex)[None])
-    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # size of each state in the samples
+    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # scale of each state in the samples
     A, B, states = A / top * size / size[:, None], B / size[:, None] / top, states / size[:, None]
     X = np.concatenate([states, np.broadcast_to(np.eye(m), (len(f), m, m))], axis=1)
     X = np.moveaxis(X, 1, 2).reshape(-1, n + m)  # (samples and inputs, states and inputs)

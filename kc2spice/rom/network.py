@@ -44,9 +44,8 @@ IDEAL_LEAD = CircuitBranch(0.0)
 
 @dataclass(frozen=True)
 class ParallelBranches:
-    """One-port of ``branches`` and the ``capacitance`` C0 [F] behind a ``lead``.
-
-    The lead is R and L in series.
+    """One-port of parallel ``branches`` and the ``capacitance`` C0 [F]. The ``lead``, R and L in
+    series, carries the current of all of them.
     """
 
     capacitance: float
@@ -89,7 +88,7 @@ class ParallelBranches:
 
 
 def parallel_branches(model: LinearModel) -> ParallelBranches | None:
-    """The network whose matrices ``model`` has; None if the model has another form."""
+    """Return the network of a ``model``; None if its matrices do not have the form of a network."""
     fit_one_port = len(model.ports) == 1 and model.ports[0].electrical
     if (
         model.first_order

@@ -31,7 +31,8 @@ MIN_MODES = 10  # smallest number of modes
 MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
 DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
 DEGREE_STEP = 2  # increase of the degree if it is too low for the width of the ranges
-MAX_DEGREES = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
+# the number of full models increases with the degree: 11, 55 and 84
+MAX_DEGREES = {1: 10, 2: 9, 3: 6}
 # Offset in the logarithm of a range that begins at zero, relative to the end of the range. Below
 # it, the coordinate is proportional to the value.
 LOG_OFFSET_RATIO = 1e-6
@@ -114,7 +115,7 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
 
 @dataclass(frozen=True)
 class Loss:
-    """Parameter whose powers multiply alpha and beta of Rayleigh damping."""
+    """Parameter that scales only the Rayleigh damping: its powers multiply alpha and beta."""
 
     axis: ParameterAxis
     alpha: float
@@ -266,8 +267,8 @@ def higher_degree(model: Parametric) -> int | None:
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """Compute ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
 
-    They are the modes to twice the highest frequency, and the static remainder. The modal response
-    takes a second for models whose direct solutions take minutes.
+    The modes extend to twice the highest frequency; the static response represents all higher
+    modes. The modal response takes a second for models whose direct solutions take minutes.
     """
     f = np.asarray(frequency, dtype=float)
     return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)
@@ -328,11 +329,12 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
 def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Compute modes to above the band, and the remaining part of the static responses."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
-    square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
+    # K is regular if the body has a support
+    square = 0.0 if pencil.factorised else -((top / 3) ** 2)
     inverse = pencil.pencil_solver(square)
     _, V = natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
     still = inverse.solve(pencil.B)
-    # and the derivative with respect to s^2
+    # the basis also contains the derivative with respect to s^2
     still = np.column_stack([still, inverse.solve(M @ still)])
     for _ in range(2):
         still = still - V @ (V.T @ (M @ still))
@@ -340,11 +342,11 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
 
 
 def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
-    """M-orthonormal columns that span all of ``columns`` but for rounding."""
+    """Return M-orthonormal columns that span ``columns``, except for rounding errors."""
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
     V = V[:, size > 0] / size[size > 0]
-    for least in (DEPENDENT_COLUMN, 0.0):  # the second pass removes rounding
+    for least in (DEPENDENT_COLUMN, 0.0):  # the second pass removes rounding errors of the first
         w, T = np.linalg.eigh(V.T @ (M @ V))
         significant = w > least * w[-1]
         V = V @ (T[:, significant] / np.sqrt(w[significant]))
@@ -354,7 +356,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> Loss | None:
-    """The parameter as a factor of the damping; None if it changes more than the damping."""
+    """Return the parameter as a factor of the damping; None if it changes more than the damping."""
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)

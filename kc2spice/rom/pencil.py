@@ -40,7 +40,7 @@ class SharedValue(Generic[T]):
 
     @property
     def known(self) -> T | None:
-        """The value, None before its first use."""
+        """The value, None before the first use."""
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
@@ -50,7 +50,8 @@ class SharedValue(Generic[T]):
         return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
-        """Use the same memory as ``other``: a value that one computes is the value of both."""
+        """Share the value with ``other``: a value that one of them computes is the value of
+        both."""
         self._values = other._values
 
 
@@ -63,7 +64,7 @@ class Schur:
 
     Raises
     ------
-    SimulationError : ``pp`` is singular (on first use).
+    SimulationError : ``pp`` is singular; raised at the first use.
     """
 
     uu: scipy.sparse.csc_array
@@ -195,7 +196,8 @@ def is_symmetric(matrix: Matrix) -> bool:
 def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     """Compute ``V'PV``; its symmetric and skew parts follow from the same parts of P.
 
-    The symmetry of P may be ``known``: its parts take longer than the product.
+    With ``known``, the symmetry of P is not tested again, because the test takes longer than the
+    product.
     """
     if known or isinstance(P, Schur):
         R = V.T @ (P @ V)
@@ -251,12 +253,12 @@ class Pencil:
 
     @property
     def degree(self) -> int:
-        """1 for a first-order model, 2 for a second-order one."""
+        """Order of the equations: 1 or 2."""
         return len(self.coefficients) - 1
 
     @property
     def symmetric(self) -> bool:
-        """Every coefficient equals its transpose."""
+        """Whether every coefficient equals its transpose."""
         stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
         return self.symmetry.get(lambda: all(map(is_symmetric, stated)))
 
@@ -267,7 +269,8 @@ class Pencil:
 
     @cached_property
     def undamped(self) -> bool:
-        """Second order without first-order terms: real on the whole imaginary axis."""
+        """Whether the model is of second order without damping, so that it is real on the imaginary
+        axis."""
         return self.degree == 2 and largest_entry(self.coefficients[1]) == 0
 
     @property
@@ -608,9 +611,9 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
 
     The result is exact.
 
-    Potentials of a piezoelectric model, algebraic equations of a first-order one. If their block is
-    singular (index two), or if a coefficient is already a Schur complement, the pencil is returned
-    unchanged.
+    Examples are potentials of a piezoelectric model and algebraic equations of a first-order model.
+    If their block is singular (index two), or if a coefficient is already a Schur complement, the
+    pencil is returned unchanged.
     """
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:

@@ -76,13 +76,13 @@ def reduce_model(
     * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
       Arnoldi at s0 = 0.
     * Models whose ports are signals are also reduced by balanced truncation, to first order. This
-    result is used if it has fewer states and no passive resonators are lost. * Structural damping
-    becomes viscous damping of each mode, or relaxations if these are much more
+    result is used if it has fewer states and the model does not lose its passive form. * Structural
+    damping becomes viscous damping of each mode, or relaxations if these are much more
       accurate. The error estimate includes the difference. The function warns if the difference
       exceeds the tolerance.
-    * * A symmetric model with only real poles loses its inertia if this saves states without a
-    change of the response. * Rounding of the full model's entries may change its response by more
-    than ``tolerance``. The
+    * * The inertia of a symmetric model with only real poles is omitted if this saves states
+    without a change of the response. * Rounding of the full model's entries may change its response
+    by more than ``tolerance``. The
       error estimate then includes this change, and the function warns.
 
     Parameters
@@ -94,11 +94,10 @@ def reduce_model(
     order : int, optional
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats, optional
-        Lowest and highest frequency in Hz. The default is the band of the model. Without one, the
-        band ends a little above the fifth natural frequency.
-    norm : "pointwise" or "peak", default "pointwise"
-        Reference of the relative error: the value at the same frequency, or the entry's largest
-        value in the band.
+        Lowest and highest frequency in Hz. The default is the band of the model. If the model has
+        no band, it ends a little above the fifth natural frequency. norm : "pointwise" or "peak",
+        default "pointwise" Reference of the relative error: the value at the same frequency, or the
+        entry's largest value in the band.
     contact : bool, default False
         Whether to represent a part of the response above the band, which a contact excites, by a
         third more states.
@@ -209,8 +208,8 @@ def verified_first_step(
 ) -> tuple[IntermediateModel, StabilityProof]:
     """The intermediate model, and stability and passivity of the full-order model.
 
-    Without ``exact``, any error of the intermediate model is accepted, because a later target
-    decides.
+    Unless the target is ``exact``, any error of the intermediate model is accepted, because a later
+    target sets the limit.
     """
     # A stiffness that is found to be indefinite is checked again.
     require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
@@ -224,7 +223,7 @@ def verified_first_step(
         if target.order is not None and by_krylov and is_definite(pencil):
             result = nested_model(pencil, target.order, target.space)
         else:
-            deflated = target.order is None  # any order can be prescribed
+            deflated = target.order is None  # the user may prescribe any order
             result = intermediate_model(pencil, band, goal, limit, deflated=deflated)
     finally:
         proof = prove_stability(pencil, band, result.poles if result else None)
@@ -239,7 +238,7 @@ def verified_first_step(
 
 
 def list_methods(task: Task, target: Target) -> list[Reductor]:
-    """The method that is prescribed, otherwise all that suit the model."""
+    """Return the prescribed method, otherwise all methods that suit the model."""
     if target.method is not None:
         return [reductor_named(target.method)]
     if not task.intermediate.proof:

@@ -322,7 +322,7 @@ class ReducedBasis:
 
         The model must be stable if the intermediate model is stable.
 
-        Only for a congruence, the stability may be unknown.
+        An unknown stability is acceptable only for a congruence.
         """
         if not self.error(order, tolerance) <= tolerance:
             return False

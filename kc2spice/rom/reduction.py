@@ -119,8 +119,8 @@ def reduce(
         Krylov"``, ``"IRKA"``, or one of :func:`kc2spice.register_reductor`. By default response POD
         and the variants of balanced truncation that suit the model are tried.
     parameters : mapping, optional
-        Refused unless empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters,
-        and bodies of a scene have ``rom.parameters``.
+        Must be empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters, and
+        bodies of a scene have ``rom.parameters``.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
         matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
@@ -236,7 +236,7 @@ class Reduction:
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6
-        Smallest tolerance that the basis is made for.
+        Smallest tolerance for which the basis is accurate enough.
     method : str or Reductor, optional
         Method of all reduced-order models. By default response POD and the variants
         of balanced truncation that suit the model are tried.
@@ -328,7 +328,7 @@ class Reduction:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the full-order model is stable, None without a proof."""
+        """Whether the full-order model is stable; None if this is not proven."""
         return self._proof.stable
 
     @property

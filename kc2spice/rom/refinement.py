@@ -2,9 +2,9 @@
 
 The order is already known.
 
-Other outputs of a projection, or other rates and gains of a relaxing model, have a smaller largest
-error. Weights follow Lawson's minimax fit: C. L. Lawson, Contributions to the Theory of Linear
-Least Maximum Approximations (1961).
+A fit of the outputs of a projection, or of the rates and gains of a model with real poles, reduces
+the largest error. Weights follow Lawson's minimax fit: C. L. Lawson, Contributions to the Theory of
+Linear Least Maximum Approximations (1961).
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ of rank one (first Foster form),
 
     H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
 
-and every choice of rates ``r_k`` and gains ``g_k`` is stable and passive. A projection reaches a
-tolerance with one state more than optimal rates and gains need. Here Gauss-Newton steps on
-``log r_k`` and ``g_k`` with weights of Lawson's minimax fit start from a projection.
+and every choice of rates ``r_k`` and gains ``g_k`` is stable and passive. A projection needs one
+state more for a tolerance than optimal rates and gains. Here Gauss-Newton steps on ``log r_k`` and
+``g_k`` with weights of Lawson's minimax fit start from a projection.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """

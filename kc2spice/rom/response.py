@@ -111,7 +111,8 @@ class Response:
         return H + self._free.C @ self._free.states(s) if self._free else H
 
     def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
-        """Mask (outputs, inputs) of entries that are only the rounding of their terms.
+        """Return a mask (outputs, inputs) of the entries that are only rounding errors of their
+        terms.
 
         The mask applies to all ``s``.
         """
@@ -189,8 +190,8 @@ class Response:
     def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Select the resonances in the band that are visible in the response.
 
-        In every entry zeros cancel the others: modes that no input excites or no output measures,
-        and rigid-body modes with a stiffness from rounding.
+        Zeros cancel all other resonances in every entry: modes that no input excites or no output
+        measures, and rigid-body modes whose stiffness is a rounding error.
         """
         frequency, ratio, mode = self._oscillating_poles
         inside = _is_inside(frequency, band)
@@ -267,7 +268,7 @@ def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 
 def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
-    """Which of the diagonals of :func:`_compute_eigenvectors` have a finite pole."""
+    """Return which diagonals of :func:`_compute_eigenvectors` have a finite pole."""
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
@@ -311,7 +312,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     """Frequencies [Hz] over the band, half linear, half logarithmic.
 
-    The logarithmic ones cover at most four decades.
+    The logarithmic frequencies cover at most four decades.
 
     The grid contains zero if the band starts at zero and the static response exists.
     """

@@ -2,7 +2,7 @@
 
 Free motions are rigid-body modes and integrators. The response of these modes grows without bound
 towards zero frequency. The rigid-body motion is computed once, made exact, and separated from all
-other unknowns. A basis and a peak refer to the other unknowns.
+other unknowns. Bases and peaks refer to the other unknowns.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def split_rigid_body(
     If ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is preserved:
     ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both groups of
     coordinates. All other models are converted to first order and split at their poles near zero
-    (relative to ``omega``), by both invariant subspaces. ``rounding`` is known of projections.
+    (relative to ``omega``), by both invariant subspaces. ``rounding`` is the bound of the rounding
+    errors, if it is known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -134,7 +135,7 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     noise = rows * rounding * columns
     lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
-    # an estimate in other norms
+    # this is an estimate in other norms
     if inverse > REGULAR_FACTOR * np.sqrt(len(K)) * np.linalg.norm(noise):
         return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
@@ -145,8 +146,8 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
     """Motions of X (n, motions) whose energy is a rounding error of the entries of K.
 
-    A known ``rounding`` is used instead, because a known support may be softer than the bound
-    of all rounding errors together.
+    A known ``rounding`` replaces this bound, because a support may be softer than the bound of all
+    rounding errors together.
     """
     if not X.size or not is_symmetric(K):
         return X
@@ -177,15 +178,16 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     A support of the rigid-body motions X (n, motions) is hidden if it is no stiffer than the
     random rounding errors of K. The frequency is zero without rigid-body motions.
 
-    The reduced model leaves out the stiffness of X. If it exceeds the rounding errors somewhat, X
-    has a support of inaccurate stiffness. The function then warns, unless the band starts at
-    ``low`` [Hz], far above the resonance of that support.
+    The reduced model leaves out the stiffness of X. If this stiffness exceeds the rounding errors
+    slightly, X has a support of inaccurate stiffness. The function then warns, unless the band
+    starts at ``low`` [Hz], far above the resonance of that support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
         return 0.0
     i, j, value = scipy.sparse.find(K)
-    exact = np.asarray(X, dtype=np.longdouble)  # soft modes are small differences
+    # the energies of soft modes are small differences of large numbers
+    exact = np.asarray(X, dtype=np.longdouble)
     force = np.zeros(exact.shape, dtype=np.longdouble)
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
     turn, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
@@ -225,8 +227,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
-    # rounding of K rotates X towards motions without force, so the inputs are compared with their
-    # own responses
+    # Rounding errors of K mix X with motions that no input drives, so the inputs are compared with
+    # their own responses
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))

@@ -25,14 +25,14 @@ STATED_UNCERTAINTY = 1e-9
 ENERGY_ROUNDING = 100.0  # multiple of the rounding error below which a mode has no elastic energy
 # Numbers chosen by trial.
 ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for zero
-ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be faint
+ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
 # lowest and sharpest resonances at which the effect of rounding is evaluated
 CHECKED_RESONANCES = 8
 RANDOM_TRIALS = 4  # random units of the unknowns
 # Share of the target error below which rounding is negligible; trials differ by a factor of less
 # than 10.
 NEGLIGIBLE_SHARE = 0.01
-TRIAL_FACTOR = 3.0  # factor on the largest of the few trials
+TRIAL_FACTOR = 3.0  # safety factor on the largest change in a few trials
 
 
 def rounding_uncertainty(
@@ -47,8 +47,8 @@ def rounding_uncertainty(
     The model is dense. The result is the change at each ``frequency`` [Hz].
 
     ``states`` x (frequencies, n, inputs), and states of the ``dual``, replace the solutions of
-    this function if they are more accurate. Entries that are ``zero`` by symmetry count against
-    their row and column.
+    this function if they are more accurate. Errors of entries that are ``zero`` by symmetry are
+    relative to their row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
@@ -150,8 +150,8 @@ def with_rounding(
     Other units of the unknowns do not change the exact response, but they round the entries of the
     full model differently. The model in other units is projected on the same directions, and the
     floor follows from the change of the response. Thin bodies are sensitive, because their elastic
-    forces are small differences of large forces. If the first change is negligible beside
-    ``target``, the error of the model, there are no further trials.
+    forces are small differences of large forces. The trials end if the first change is negligible
+    relative to ``target``, the error of the model.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)

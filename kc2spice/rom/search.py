@@ -23,10 +23,9 @@ SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the least acceptable order with fewer than ``states`` first-order states.
-
-    The result is None without an acceptable order. Orders are tried upwards, because the error is
-    not monotonic in the order and models of low order are cheap.
+    """Return the least acceptable order with fewer than ``states`` first-order states. The result
+    is None if no order is acceptable. Orders are tried upwards, because the error is not monotonic
+    in the order and models of low order are cheap.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -63,8 +62,8 @@ def select_fewest_states(
 
     A congruence preserves the form of definite matrices, and with it passive resonators. Other
     projections replace it only if all ports are signals and they save a tenth of the states. With
-    ``keep_form`` this never happens. ``shorten`` lets a reductor find a shorter basis of a
-    congruence.
+    ``keep_form``, other projections never replace the congruence. ``shorten`` lets a reductor find
+    a shorter basis of a congruence.
 
     Raises
     ------
@@ -78,7 +77,7 @@ def select_fewest_states(
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
-    if other and not form:  # a congruence has no advantage without a form to preserve
+    if other and not form:  # a congruence has no advantage if the model has no form to preserve
         return _prefix_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
@@ -101,8 +100,8 @@ def select_fewest_states(
 def _prove_stability(task: Task) -> StabilityProof | None:
     """Prove stability and passivity of the intermediate model.
 
-    The result is None if a congruence preserves nothing: the model is of first order and not
-    symmetric.
+    The result is None for a model of first order that is not symmetric, because a congruence then
+    preserves no property.
     """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
@@ -115,8 +114,8 @@ def _select_fewest(
 ) -> tuple[ReducedBasis, int] | None:
     """Basis and order with fewer states, None if no reductor provides them.
 
-    In the peak norm it is the best of all. In the pointwise norm, the first basis is used, because
-    only balancing over the band represents notches.
+    In the peak norm, the best of all bases is used. In the pointwise norm, the first basis is used,
+    because only balancing over the band represents notches.
     """
     best = None
     for reductor in reductors:
@@ -171,7 +170,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
 
 
 def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
-    """Error of bases of which no order meets the tolerance."""
+    """Return the error for bases that meet the tolerance with no order."""
     error = min(basis.error(basis.size) for basis in bases)
     return make_inaccuracy_error(
         "the tolerance is out of reach",

@@ -36,9 +36,9 @@ class StabilityProof:
     """Stability and passivity of a model, and the evidence for both.
 
     ``stable`` means that no pole is right of the imaginary axis, so that no motion grows
-    exponentially; a free rigid body drifts. A property is None if it is unknown. ``passive`` means
-    that the ports are proven to deliver no net energy. ``proof`` states the evidence for both
-    properties.
+    exponentially; the displacement of a free rigid body may increase linearly. A property is None
+    if it is unknown. ``passive`` means that the ports are proven to deliver no net energy.
+    ``proof`` states the evidence for both properties.
     """
 
     stable: bool | None
@@ -55,10 +55,10 @@ def prove_stability(
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
     are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
-    velocity, voltage and current. First order with E symmetric positive semi-definite and
-    ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
-    on stability, and passivity is not claimed; the poles of models with more than
-    ``MAX_POLE_STATES`` states are not known. ``poles`` [1/s] spare their computation.
+    velocity, voltage and current. A first-order model with E symmetric positive semi-definite and
+    ``A + A' <= 0`` is likewise passive between input and output. Without such a form, stability
+    follows from the poles, and passivity is not claimed; the poles of models with more than
+    ``MAX_POLE_STATES`` states are not known. Known ``poles`` [1/s] are not computed again.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -112,7 +112,8 @@ def is_dissipative(pencil: Pencil) -> bool:
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
         return False
-    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # otherwise from mass and stiffness
+    # otherwise the proof is from mass and stiffness
+    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False

@@ -10,9 +10,9 @@ from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest_en
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# Masses and algebraic parts this far below the largest are zero.
+# Masses and algebraic parts below this share of the largest count as zero.
 MASSLESS = 1e-13
-# Off-diagonal modal damping below this is rounding of proportional damping.
+# Off-diagonal modal damping below this share is a rounding error of proportional damping.
 COUPLING = 1e-10
 
 
@@ -36,7 +36,8 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
-        for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
+        # the inertia of a free motion may be small in its units
+        for item in (pencil, pencil.scaled(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
                 return _modal_states(item, omega)
@@ -88,8 +89,7 @@ def _modal_states(pencil: Pencil, omega: float) -> ABCD:
 def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """``T'MT = 1``; for a symmetric K, T diagonalises K, and the eigenvalues are also returned.
 
-    If K is definite, it takes the role of the better conditioned matrix, so that low modes are
-    exact.
+    If K is definite, the modes are computed from ``M phi = mu K phi``, so that low modes are exact.
     """
     if largest_entry(K - K.T) > COUPLING * largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
@@ -125,7 +125,7 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
 def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str) -> ABCD:
     """Eliminate the unknowns from the r-th on from ``P x = B u``, ``y = C x + D u``.
 
-    Undetermined unknowns are refused for the reason ``why``.
+    Unknowns that are not determined cause an error with the reason ``why``.
     """
     if r == len(P):
         return P, B, C, D
@@ -162,7 +162,7 @@ def _energy_states(pencil: Pencil) -> ABCD:
 
 
 def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
-    """A singular value that is rounding of ``reference``."""
+    """Return whether the smallest singular value is a rounding error of ``reference``."""
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest_entry(reference))
 
 

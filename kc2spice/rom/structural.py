@@ -7,7 +7,7 @@ which is exact at its resonance, and relaxations if these are closer
 (:mod:`kc2spice.rom.lossy_modes`). The difference is part of the error estimate. The losses of
 several materials couple modes; that part is viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
-An RC ladder or an overdamped chain has real poles only. If its inertia changes nothing in the band,
+An RC ladder or an overdamped chain has real poles only. If its inertia has no effect in the band,
 ``E x' + K x = B u`` has half of the states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
@@ -66,7 +66,7 @@ def approximate_causally(
     band: tuple[float, float],
     norm: Norm,
 ) -> LinearModel:
-    """A passive model next to one with structural damping.
+    """Return a passive model that approximates a model with structural damping.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _loss_text(model: LinearModel) -> str:
 
 @dataclass
 class _Search:
-    """The model reduced with viscous damping, ``small``, and its passive neighbours."""
+    """Search for a passive model, from the reduced model ``small`` with viscous damping."""
 
     full: LinearModel
     reduced: Reductor
@@ -139,7 +139,8 @@ class _Search:
         return self.error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
-        beta = 1 / (2 * np.pi * self.band[1])  # nowhere in the band more damping than structural
+        # the damping is nowhere in the band larger than the structural damping
+        beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = with_viscous_loss(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
         K, E, M = (0.5 * (P + P.T) for P in small.pencil.dense().coefficients)

@@ -119,8 +119,8 @@ def relaxing_stiffness(
         Relative change of the response per relative change of the stiffness (n,) at frequencies
         (n,) [Hz], such as the Q factor at a resonance; 1 by default.
     noncausal : bool
-        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. The error of passive
-        models is at least about ``eta / pi log(f2 / f1)``.
+        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. With this factor,
+        passive models have an error of at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
@@ -215,7 +215,7 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _corner(inner: int) -> np.ndarray:
-    """(1 + inner, 1 + inner) of the displacement alone."""
+    """Return a matrix (1 + inner, 1 + inner) that acts on the displacement alone."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result

@@ -11,8 +11,9 @@ With the power P switched on or off at t = 0, the temperature is::
 no slow deviation.
 3. Neighbours on the grid are joined. The logarithms of all R_k and t_k are refined by bounded least
    squares.
-4. The two neighbours whose sum describes the samples best are joined, and so on. The sum with the
-   least Bayesian information criterion, ``sum (residual / noise)^2 + parameters log(samples)``, is
+4. The two neighbours whose sum describes the samples best are joined, and this step is repeated.
+The sum with the least Bayesian information criterion, ``sum (residual / noise)^2 + parameters
+log(samples)``, is
    the result (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
 
@@ -168,7 +169,7 @@ def _residual(
 def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
     """Return one time constant for two neighbours on the grid whose resistances are not zero.
 
-    A time constant between two points of the grid has a resistance at both.
+    A time constant between two points of the grid appears as a resistance at both points.
     """
     used = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
     if not used.size:

@@ -12,7 +12,7 @@ resonators. The stiffness of a block is ``L L'``. Polynomials give the logarithm
 of L, of the clamped capacitances' Cholesky factor and of the damping. Masses, stiffness and
 damping are therefore positive everywhere in the ranges, and the form of the model proves it
 passive. (Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are
-analytic where a gap stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+analytic as long as a gap separates them: T. Kato, Perturbation Theory for Linear Operators, II.4.)
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ NOTCH_RESOLUTION = 1e-2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Varying(ParameterPolynomials, ModelOverRanges):
-    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges.
+    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges of parameters.
 
     ``E = alpha + beta L L'``.
 
@@ -141,7 +141,7 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
     ------
     UsageError : a model that is not symmetric, of second order, damped in proportion and with
         collocated ports; whose mesh changes its cells within the parameter ranges; or that a port
-        moves freely.
+        moves without stiffness.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_facts(task.full)
@@ -241,7 +241,8 @@ def make_resonators(
 
     The second result is their largest difference at random values.
 
-    The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
+    The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance are
+    used.
 
     Raises
     ------
@@ -384,7 +385,8 @@ class _ReducedSpace:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
-        large[: max(0, len(w) - rest.size)] = False  # at most the number of dimensions
+        # a space has at most as many vectors as dimensions
+        large[: max(0, len(w) - rest.size)] = False
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._solve_ritz, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
@@ -434,8 +436,8 @@ class _ReducedSpace:
     def fit_polynomials(self, gap: float, degree: int, tolerance: float) -> Varying | None:
         """Fit polynomials to the data of blocks that are separated by ``gap``.
 
-        The gap is the least logarithm of the ratio of squared frequencies. The result is None if a
-        block has no smooth frame.
+        The gap is the least logarithm of the ratio of squared frequencies. The result is None if
+        the mode shapes of a block do not change smoothly.
         """
         modes, dense_model = self.modes, self.modes.dense_model
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap

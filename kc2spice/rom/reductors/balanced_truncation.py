@@ -62,7 +62,7 @@ class BalancedTruncation(Reductor):
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
     def obstacle(self, task: Task) -> str:
-        """Return why the model has no Gramians, or why scales make no difference."""
+        """Return why the model has no Gramians, or why scale factors have no effect."""
         reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason

@@ -32,7 +32,7 @@ class BlockKrylov(Reductor):
     """Block Krylov vectors at zero by block Arnoldi with K as inner product.
 
     ``span{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6 and 7 of the
-    reference). The model has a definite K and proportional damping or none.
+    reference). The model has a definite K, and proportional or no damping.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class BlockKrylov(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return nested Krylov vectors and the full-order model projected on them."""
-        if not task.intermediate.proof:  # created by this method for a prescribed order
+        if not task.intermediate.proof:  # the space exists if the order is prescribed
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
@@ -79,7 +79,7 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 
 
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
-    """Return ``count`` block Krylov vectors of a definite model, or all that exist.
+    """Return at most ``count`` block Krylov vectors of a definite model.
 
     The vectors belong to zero frequency.
     """
@@ -119,9 +119,9 @@ class BlockArnoldi:
     ``X = K^-1 B`` and ``A = K^-1 M``.
 
     The columns are in the order of the ports, so bases are nested: the first q columns are the
-    basis of order q. The last block may be incomplete. The first block holds the static answers to
-    all ports; a one-sided projection on it matches 2 moments per block. Further columns continue
-    the recursion of the last columns.
+    basis of order q. The last block may be incomplete. The first block contains the static
+    responses to all ports; a one-sided projection on it matches 2 moments per block. Further
+    columns continue the recursion of the last columns.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
@@ -139,9 +139,9 @@ class BlockArnoldi:
 
 
 class OrthonormalBasis:
-    """Basis V (n, k) with ``V'KV = 1`` that grows by blocks, and its images ``K V``.
+    """Basis V (n, k) with ``V'KV = 1`` that grows by blocks, and the products ``K V``.
 
-    The images make every inner product an ordinary one.
+    With these products, inner products in K are ordinary inner products.
 
     Examples
     --------
@@ -163,11 +163,11 @@ class OrthonormalBasis:
 
     @property
     def stiffness_products(self) -> np.ndarray:
-        """The images K V (n, k)."""
+        """Products K V (n, k)."""
         return self._images[:, : self._count]
 
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Extend the basis by candidates (n, m), and return the new columns and their images.
+        """Extend the basis by candidates (n, m), and return the new columns V and ``K V``.
 
         Dependent candidates are deflated.
         """

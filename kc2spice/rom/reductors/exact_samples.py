@@ -1,10 +1,8 @@
-"""Oblique projection of ill-conditioned dense models on refined solutions.
-
-Where rounding of the large entries of a matrix exceeds its slow motions, neither its eigenvectors
-nor its projections are accurate. Solutions are accurate if they are refined with residuals in
-extended precision. The states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span
-two bases, and ``A X = s E X - B`` projects the model on them without a product with the large
-matrix.
+"""Oblique projection of ill-conditioned dense models on refined solutions. If rounding errors of
+large entries of a matrix exceed the entries of slow motions, neither eigenvectors nor projections
+are accurate. Solutions are accurate if they are refined with residuals in extended precision. The
+states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span two bases, and ``A X = s E
+X - B`` projects the model on them without a product with the large matrix.
 
 Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022),
 arXiv:2104.01006.
@@ -26,14 +24,14 @@ from kc2spice.rom.rounding import rounding_uncertainty, uncertainty_note
 
 # Numbers of frequencies. Chosen by trial.
 FIRST_SAMPLES = 12  # samples before the error is estimated
-MAX_SAMPLES = 90  # samples at which the method gives up
-CANDIDATE_FREQUENCIES = 151  # frequencies of which the next sample is one
+MAX_SAMPLES = 90  # largest number of samples
+CANDIDATE_FREQUENCIES = 151  # candidate frequencies for the next sample
 # singular values, relative to the largest, below which directions are noise; the best limit is used
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
 def real_parts(x: np.ndarray) -> list[np.ndarray]:
-    """Real vectors that span the same."""
+    """Return real vectors that span the same space as complex vectors."""
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
 
@@ -98,7 +96,7 @@ class ExactSamples:
 def sampled_model(
     full: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """An ill-conditioned first-order model by exact samples.
+    """Return a model of an ill-conditioned first-order model from exact samples.
 
     Raises
     ------
@@ -146,7 +144,7 @@ def sampled_model(
 
 
 def _remove_growing_poles(small: Pencil) -> Pencil:
-    """Remove the growing poles, which are noise of a stable model.
+    """Remove growing poles, which are rounding errors of a stable model.
 
     The result is in real blocks of its poles.
     """

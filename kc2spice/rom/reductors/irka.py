@@ -19,7 +19,7 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
 POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
-MAX_ITERATIONS = 100  # iterations after which the method gives up. Chosen by trial.
+MAX_ITERATIONS = 100  # Largest number of iterations. Chosen by trial.
 # Error of the balanced model, relative to the tolerance, above which an order is not tried. Chosen
 # by trial.
 MAX_START_ERROR = 10.0
@@ -103,7 +103,7 @@ class OptimalModels(ReducedBasis):
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
     def unknowns(self, order: int) -> np.ndarray | None:
-        """Return None: the basis is not stored."""
+        """Return None, because the basis is not stored."""
         return None
 
     def _optimal(self, order: int) -> Pencil:

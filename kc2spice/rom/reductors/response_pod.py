@@ -31,10 +31,10 @@ TAIL_FADING = 0.5
 class ResponsePod(Reductor):
     """Principal directions of the response over the band.
 
-    The first vectors are the static responses of the ports, so static gains are exact. Then follow
-    the left singular vectors of snapshots of the response, in coordinates in which the elastic
-    energy is a sum of squares, with weights for a relative error. ``two_sided`` adds snapshots of
-    the dual model, which unsymmetric models need.
+    The first vectors are the static responses of the ports, so static gains are exact. The other
+    vectors are left singular vectors of snapshots of the response, in coordinates in which the
+    elastic energy is a sum of squares, with weights for a relative error. ``two_sided`` adds
+    snapshots of the dual model, which unsymmetric models need.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
 def _weighted_states(
     task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
-    """Weighted states of the model, and of its dual if ``two_sided``."""
+    """Return weighted states of the model and, if ``two_sided``, of its dual."""
     H = task.response.transfer(s)
     result = [weighted_states(response, s, weight, H, task.norm)]
     if two_sided:
@@ -171,8 +171,8 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If the stiffness is not definite, the energy at ``omega`` is used. If none is definite, the
-    result is the unit matrix.
+    If the stiffness is not definite, the energy at ``omega`` is used. If neither matrix is
+    definite, the result is the unit matrix.
 
     A model that is not ``static`` has no elastic energy at rest, although rounding of K may give it
     a Cholesky factor.
@@ -197,13 +197,13 @@ def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
 
     All vectors are orthonormal.
     """
-    for _ in range(2):  # once leaves rounding of the projection
+    for _ in range(2):  # a single projection would leave rounding errors
         columns = columns - first @ (first.T @ columns)
     return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])
 
 
 def _significant_range(columns: np.ndarray) -> np.ndarray:
-    """Principal directions of the columns whose singular values are not rounding."""
+    """Return principal directions whose singular values exceed rounding errors."""
     U, size = _principal_directions(columns)
     return np.asarray(
         U[:, size > SINGULAR_VALUE_LIMIT * max(size.max(initial=0.0), np.finfo(float).tiny)]
@@ -212,7 +212,8 @@ def _significant_range(columns: np.ndarray) -> np.ndarray:
 
 def _principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Left singular vectors and values."""
-    if columns.shape[1] > 2 * columns.shape[0]:  # a thinner matrix of the same directions
+    # the triangular factor has the same singular values and fewer rows
+    if columns.shape[1] > 2 * columns.shape[0]:
         columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T
     U, size, _ = np.linalg.svd(columns, full_matrices=False)
     return U, size

@@ -1,8 +1,8 @@
 """Snapshots of a frequency response: frequencies and weights.
 
-A body that touches others is excited above the band too. A basis fitted to the band alone has large
-errors above the band, so mechanical ports add snapshots at higher frequencies with a small weight:
-the *tail*.
+A body in contact with other bodies is also excited above the band. A basis fitted to the band alone
+has large errors above the band, so mechanical ports add snapshots at higher frequencies with a
+small weight: the *tail*.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ TAIL_DECAY = 4  # exponent with which the weight decreases above the band: conta
 # by reduced models of 20 to 31 states had errors of at most 3e-4, and larger errors with weights
 # up to 1e-2.
 TAIL_WEIGHTS = 4e-3, 5e-2
-TAIL_PER_ROOT = 120.0  # weight per root of the tolerance: squares of errors are minimised
+# weight relative to the root of the tolerance, because squares of errors are minimised
+TAIL_PER_ROOT = 120.0
 # Smallest reference of an entry, relative to its peak: the floor of the pointwise norm.
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
@@ -82,11 +83,12 @@ def weighted_states(
 ) -> np.ndarray:
     """Return weighted real and imaginary parts of the states.
 
-    The weights define a relative error.
+    With these weights, least squares minimise the relative error.
 
-    The square of a state is an energy if ports exchange energy, so each state is divided by the
-    root of the response of its port. Other states are divided by their length. The response of the
-    ``complete`` model includes rigid-body modes. The peak norm divides by peaks.
+    If ports exchange energy, the square of a state is an energy, and each state is divided by the
+    square root of the response of its port. Other states are divided by their length. The response
+    of the ``complete`` model includes rigid-body modes. In the peak norm, states are divided by
+    peaks.
     """
     x = response.states(s)
     pencil = response.pencil
