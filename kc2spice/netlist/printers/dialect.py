@@ -90,7 +90,7 @@ class Dialect(Printer, ABC):
     replaces. ``known_options`` are options that the simulator has, after ``option_prefix``; other
     options are written as comments. Commands in ``joined`` are merged into one card.
     ``parameters`` are the parameters of each kind of card. ``temperature`` is the name of the
-    temperature in expressions.
+    temperature in expressions; without one, such an expression is an error.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
     analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
@@ -141,7 +141,7 @@ class Dialect(Printer, ABC):
         if isinstance(item, Parameters) and item.keyword != ".param":
             raise self.refusal(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
-            return super().card(item)
+            return self._require_text(item, super().card(item))
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
@@ -158,6 +158,19 @@ class Dialect(Printer, ABC):
             case keyword if keyword in _COMMON_COMMANDS:
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
+
+    def _require_text(self, item: Item, text: str) -> str:
+        """Return the text of a card; an element or model without text would be missing."""
+        method = "element" if isinstance(item, Element) else "model"
+        if isinstance(item, Element | Model) and (not isinstance(text, str) or not text.strip()):
+            raise UsageError(
+                f"the dialect {self.dialect} writes no text for this card",
+                where=self.where,
+                got=f"{method}() returned {text!r} for {item.written[:80]}",
+                expected="the card as text",
+                hint=f"end the method with a return, such as: return super().{method}(card)",
+            )
+        return text
 
     def measure(self, card: Directive) -> str:
         """Return the card of a measurement, or "" if the simulator has no equivalent."""
@@ -311,7 +324,7 @@ class Dialect(Printer, ABC):
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         known = {"e": _EULER_NUMBER, "temper": self.temperature}
-        if text.lower() == "hertz":
+        if known.get(text.lower(), text) == "" or text.lower() == "hertz":
             raise self.refusal(text, f"the word {text}")
         return known.get(text.lower(), text)
 

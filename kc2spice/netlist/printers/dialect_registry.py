@@ -40,8 +40,8 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
     Raises
     ------
-    UsageError : the class is not a subclass of Dialect, lacks a method, or is named ngspice or
-    verilog-a.
+    UsageError : the class is not a subclass of Dialect, lacks a method or a title, or is named
+    ngspice or verilog-a.
 
     Examples
     --------
@@ -76,15 +76,18 @@ def _require_dialect(value: object) -> None:
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
-        if not missing and value.dialect and value.dialect not in (NGSPICE, VERILOG_A):
+        titled = value.title != Dialect.title  # the title of ngspice is inherited
+        named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
+        if not missing and named and titled:
             return
-        got = f"{value.__name__} with the name {value.dialect!r}"
-        hint = f"define {missing}" if missing else f"set dialect = 'NAME' in {value.__name__}"
+        got = f"{value.__name__} with the name {value.dialect!r} and the title {value.title!r}"
+        attribute = "title = 'NAME OF THE SIMULATOR'" if named else "dialect = 'NAME'"
+        hint = f"define {missing}" if missing else f"set {attribute} in {value.__name__}"
     raise UsageError(
         "this object is not a netlist dialect",
         where="register_dialect",
         got=got,
-        expected="a subclass of kc.Dialect with a new name and all methods",
+        expected="a subclass of kc.Dialect with a name, a title and all methods",
         hint=hint,
     )
 
