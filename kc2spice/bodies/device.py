@@ -69,7 +69,7 @@ class ForceShape:
 
 
 def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
-    """Port of the pressure on a boundary and the volume that the boundary yields.
+    """Return the port of the pressure on a boundary and the volume that the boundary displaces.
 
     The pressure p acts against the outward normal n: its forces are ``-p int N n dS``, and the
     output of the port is ``-int u n dS``.
@@ -264,7 +264,7 @@ def _add_damping(
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # One term damps the whole body with the smallest loss; further terms add to it per material. E
+    # One term damps the whole body with the smallest loss, and each material adds a further term. E
     # and K then have the same rounding errors in the first mode.
     least = min(loss)
     E = damping.alpha * model.M + damping_term(least)
@@ -388,7 +388,7 @@ def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
     """Find the nodes of each piece of the body that moves independently.
 
     A piece is a rigid face, or a set of elements that are joined through common faces. Elements
-    that share only an edge can turn about it and belong to different pieces.
+    that share only an edge belong to different pieces, because they can rotate about the edge.
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     n = solid.mesh.nelements
@@ -442,7 +442,7 @@ class RadiatingFace:
 class Block:
     """Box of poled material.
 
-    Blocks whose materials have one name are one piece.
+    Block of one material; blocks whose materials have the same name belong together.
     """
 
     box: Box

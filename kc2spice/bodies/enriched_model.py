@@ -8,8 +8,8 @@ responses v to a voltage and p to a force,
     dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p,
 
 and a mode gets the nearest eigenvalue. All corrections are in one space of few vectors (Galerkin,
-Rayleigh-Ritz). The residuals extend this space alternately by solutions for the additional
-functions alone and for the mesh alone. Supports and electrodes fix the functions of edges and faces
+Rayleigh-Ritz). Solutions for the residuals, alternately with the additional functions alone and
+with the mesh alone, extend this space. Supports and electrodes fix the functions of edges and faces
 all of whose nodes they fix. Loads on the functions themselves are neglected. Sources: R. E. Bank
 and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10
 (2001) 1.
@@ -36,7 +36,7 @@ from kc2spice.rom.pencil import Schur
 
 MAX_ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
 CONVERGED_CHANGE = 0.1  # relative change of the corrections in a round that ends the iteration
-# share of a vector that is independent of other vectors, below which the vector is omitted
+# independent share of a vector, below which the vector is omitted
 DEPENDENCE_LIMIT = 1e-8
 
 # displacements and potentials, with one column per solution
@@ -214,7 +214,7 @@ def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
 
 
 def _factorise(matrix: sparse.csr_array) -> Factor | None:
-    """Factorise a sparse matrix; None if it is empty."""
+    """Factorise a sparse matrix; Return the factor of a matrix; None if the matrix is empty."""
     return factorise(sparse.csc_array(matrix), definite=True) if matrix.shape[0] else None
 
 

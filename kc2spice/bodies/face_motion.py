@@ -61,7 +61,7 @@ class FaceMotion:
 
     @property
     def piston_shares(self) -> np.ndarray:
-        """Ratios (motions,) of mean to rms normal velocity: 1 for a piston."""
+        """Return ratios (motions,) of the mean to the rms normal velocity; 1 for a piston."""
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
 
@@ -73,7 +73,7 @@ class FaceMotion:
 
     @cached_property
     def _plane(self) -> np.ndarray:
-        """Coordinates (2, points) in the plane of the face, about its centre."""
+        """Return coordinates (2, points) in the plane of the face, relative to its centre."""
         centre = self.places @ self.areas / self.area
         first = np.linalg.svd(self.axis[None])[2][1:]
         return np.asarray(first @ (self.places - centre[:, None]))

@@ -33,7 +33,7 @@ from kc2spice.rom.reductors.block_krylov import block_arnoldi
 BASIS_SIZE = 40
 # frequency of a rigid-body mode, relative to the highest frequency (rounding error)
 ZERO_FREQUENCY_RATIO = 1e-6
-# rad; phase of an elastic mode over the whole run below which it counts as a rigid-body mode
+# rad; a mode with a smaller phase over the whole run counts as a rigid-body mode
 MIN_PHASE = 1e-4
 # Smallest number of instants at which extremes are searched (half equally spaced, half with the
 # largest energy), and largest product of points and instants.

@@ -1,6 +1,6 @@
 """Finite-element models of heat in solids, with pins for heat sources and temperatures.
 
-The unknowns z are temperature rises over the ambient temperature: one of each free node, one of
+The unknowns z are temperature rises over the ambient temperature: one for each free node, one for
 each isothermal face, and one behind each film with a pin. With ``T = P z`` and the matrices of
 :mod:`kc2spice.fem.heat_conduction`,
 
@@ -35,8 +35,9 @@ from kc2spice.rom.linear_model import LinearModel, Port
 HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # fact: heat capacity of the whole body
 # name of the frequency up to which the mesh resolves the response
 MESH_LIMIT_NAME = "mesh_limit_hz"
-# Share of the error of a thermal resistance that recovered heat flows show: 0.32 for uniform heat
-# flow into a disc, 0.42 for a disc with one temperature, measured against much finer meshes.
+# Share of the error of a thermal resistance that the estimate from recovered heat flows detects:
+# 0.32 for uniform heat flow into a disc, 0.42 for a disc with one temperature, measured against
+# much finer meshes.
 RECOVERED_SHARE = 0.35
 # prefix of the names RESISTANCE_PREFIX + PORT + "_k_per_w"
 RESISTANCE_PREFIX = "thermal_resistance_"

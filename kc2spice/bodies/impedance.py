@@ -23,7 +23,7 @@ from kc2spice.core.errors import wrong
 
 _MIN_SAMPLES = 7  # samples around the resonance; the fit has six real coefficients
 _FIT_ITERATIONS = 8
-OVERDAMPED_Q = 0.5  # Q of a circuit whose charge returns without overshoot
+OVERDAMPED_Q = 0.5  # Q factor of a critically damped circuit, whose charge has no overshoot
 # smallest ratio of the largest conductance of a resonance to the rms residual of its circuit
 MIN_PROMINENCE = 3.0
 

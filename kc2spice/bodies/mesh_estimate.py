@@ -11,7 +11,7 @@ singular and converges slowly with the degree, so the functions correct only a p
 :data:`CORRECTED_SHARE`. On hexahedra these functions would cost more than the model, and e is the
 difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
 
-Contributions of both signs cancel by chance in the error of a stroke. A part of their absolute
+In the error of a stroke, contributions of both signs may cancel by chance. A part of their absolute
 values on hexahedra, :data:`ABSOLUTE_SHARE`, is added to their sum, and on other elements a part,
 :data:`BOUND_SHARE`, of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All factors were determined by
 comparison with much finer meshes; ``tests/physics/test_mesh_error.py`` limits the difference.

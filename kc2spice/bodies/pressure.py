@@ -1,11 +1,11 @@
 """Pressure on the top of a stack: a contact port that converges with the mesh.
 
 A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
-mesh is refined. Here pressures are piecewise linear in the radius (P1), and displacements are
-averages by the same basis functions. The mesh of the whole stack is too coarse for these functions.
-The port of this mesh is a patch that is loaded as by a flat punch. With the static compliance S
-(n, n) of the basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and each function moves
-by the same ``S w = s 1``. Then
+mesh is refined. In this module, pressures are piecewise linear in the radius (P1), and
+displacements are averages over the same basis functions. The mesh of the whole stack is too coarse
+for these functions. The port of this mesh is a patch that is loaded as by a flat punch. With the
+static compliance S (n, n) of the basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and
+each function moves by the same ``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
@@ -16,7 +16,7 @@ real one is smooth, and thus equal for all basis functions. This part of the mot
 the port of the patch includes it. The matrix is positive semi-definite because ``S - s 1 1'`` is
 (s is the least compliance of all shares), and because a coarse mesh is too stiff.
 
-The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
+The local compliance has no inertia, like residual modes (:mod:`kc2spice.rom.modal`): the modes of
 the patch are above ten megahertz (speed of sound divided by its size). Therefore only the depth x
 of a sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of
 one depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.

@@ -6,9 +6,9 @@ one element over the height: one layer, or several layers as one medium if ``lay
 allows this. The electrodes determine the field in each layer. Thus m layers in parallel at one
 voltage are one layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
 
-Even planes of electrodes are the grounded cathode, odd ones the anode. The poling of the layers
-alternates, along -z above a cathode, so that a positive anode voltage lengthens every layer. Paper
-2.2.2 and appendix A.2.
+Even planes of electrodes are the grounded cathode, and odd planes the anode. The poling of the
+layers alternates, along -z above a cathode, so that a positive anode voltage lengthens every layer.
+Paper 2.2.2 and appendix A.2.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 def make_stack(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """Make the stack with ring ports ring0, ring1, ... and the anode, and its values.
+    """Make the model of the stack with the ports ring0, ring1, ... and the anode.
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. The supports of the bottom face z =
     0 depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none
@@ -63,10 +63,10 @@ def make_stack(
     solid, setup = make_stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
     facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # the key rated_field defines this value
+    facts.pop("depoling_voltage_v", None)  # the key rated_field states this value
     facts["unknowns"] += 1  # the paper counts the anode as one unknown
     for name in [name for name in facts if name.endswith("_m_per_v")]:
-        # data sheets use this unit
+        # data sheets state the value in this unit
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)
     return replace(device, model=device.model.copy_with(facts=facts, name="piezo_stack"))
 
@@ -85,7 +85,7 @@ def make_stack_setup(
     plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
     nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
     sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
-    require_bytes(  # the factor is sparse where potentials are free, or banded
+    require_bytes(  # the factor is sparse with free potentials, otherwise banded
         sparse_bytes if inner else min(sparse_bytes, 8.0 * 3 * nodes * 3 * plane),
         "the factorised stiffness",
         where="kick.mesh",
@@ -270,8 +270,8 @@ def _find_electrodes(
 def _make_ring_forces(kick: Chip, solid: Solid) -> list[ForceShape]:
     """Make unit ring forces along z, or along x for a stack poled along x.
 
-    Nodes on a symmetry plane carry half, because the other half acts on the mirror image. Weights
-    sum to one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
+    Nodes on a symmetry plane have half of the force, because the other half acts on the mirror
+    image. Weights sum to one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
     """
     shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
     near = _POSITION_TOLERANCE * solid.places.max()

@@ -134,7 +134,7 @@ def _solve_static(
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
-    # loads in equilibrium; the result is exact in the limit
+    # the loads are in equilibrium, so that the result is exact for a small shift
     for _ in range(MAX_REFINEMENTS if shift else 0):
         rest = solve(load + shift * (model.M @ rest)) if ports else load
     return shifted, rest

@@ -95,9 +95,10 @@ def reduce_model(
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats, optional
         Lowest and highest frequency in Hz. The default is the band of the model. If the model has
-        no band, it ends a little above the fifth natural frequency. norm : "pointwise" or "peak",
-        default "pointwise" Reference of the relative error: the value at the same frequency, or the
-        entry's largest value in the band.
+        no band, it ends a little above the fifth natural frequency.
+    norm : "pointwise" or "peak", default "pointwise"
+        Reference of the relative error: the value at the same frequency, or the entry's largest
+        value in the band.
     contact : bool, default False
         Whether to represent a part of the response above the band, which a contact excites, by a
         third more states.

@@ -1,4 +1,4 @@
-"""Readers of matrices from other tools, as linear models with ports."""
+"""Readers of matrices of other programs, as linear models with ports."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A
 mphmatrix struct (COMSOL); JOB_STIF1.mtx (Abaqus); JOB.sti (CalculiX); a punch file with DMIG cards
 or .op4 (Nastran); .full (Ansys); or a TOML file that names the files"""
 
-SIDECAR_KEYS = _sidecar.__doc__ or ""  # every key of NAME.toml, for --help and the docs
+# description of every key of NAME.toml, for --help and the docs
+SIDECAR_KEYS = _sidecar.__doc__ or ""
 
 
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:
-    """Read the matrices of another tool as a linear model with ports.
+    """Read the matrices of another program as a linear model with ports.
 
     Second order ``M x'' + E x' + K x = B u``, ``y = C x + D u``; first order ``E x' = A x + B u``;
     heat ``E x' + K x = B u`` (E and K without M and A). Missing E is zero (second order) or one
-    (first order), a missing C is ``B'``, a missing D zero. A complex K is structural damping.
+    (first order), a missing C is ``B'``, a missing D zero. A complex K contains structural damping.
 
     Parameters
     ----------
@@ -52,7 +53,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     -------
     LinearModel
         Model in SI units. The TOML file defines the ports. Without it, all ports are signals.
-        Parameters of the TOML file have their defaults; :func:`read_affine_model` keeps them.
+        Parameters of the TOML file have their default values; :func:`read_affine_model` returns a
+        model with parameters.
 
     Raises
     ------
@@ -151,7 +153,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         )
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
-        raw.require_file(path)  # raises the error of a missing file
+        raw.require_file(path)  # this call raises the error of a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("this path is a folder, not a model", where=str(path), expected=expected)
@@ -296,7 +298,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     job = codes.find_matrix_files(path)
     if job:
         match = codes.ABAQUS_NAME.fullmatch(path.name)
-        assert match is not None  # find_matrix_files() has matched the name
+        assert match is not None  # find_matrix_files() has checked the form of the name
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}

@@ -252,7 +252,7 @@ class Rows:
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
     def fixed(self) -> np.ndarray:
-        """Mask (rows,) of the degrees of freedom that the tool or the sidecar fixes."""
+        """Mask (rows,) of the degrees of freedom that the program or the sidecar fixes."""
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
@@ -342,7 +342,7 @@ class Rows:
 
 
 def _assemble_mechanical(rows: Rows) -> LinearModel:
-    """Assemble a model without electrodes, with all its damping."""
+    """Assemble a model without electrodes, including all its damping."""
     settings = rows.sidecar
     keep = np.flatnonzero(~rows.fixed())
     if not keep.size:
@@ -354,7 +354,7 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
-    if empty.size:  # an unknown that no matrix determines is a gap in the numbering
+    if empty.size:  # an unknown that no matrix contains is a gap in the numbering
         problem, expected = "a row is zero in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
@@ -398,8 +398,8 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
 def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     """Assemble a model with electrodes at nodes and without other free potentials.
 
-    The free potentials are eliminated exactly. The tool's matrix is
-    ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
+    The free potentials are eliminated exactly. The matrix of the program is ``[[K_uu, K_up],
+    [K_up', -K_pp]]``, as in files of Ansys and Abaqus.
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):

@@ -10,15 +10,16 @@ CalculiX writes ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER
 The files contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
 temperature.
 
-Ansys writes the binary ``.full`` file, which the ansys-mapdl-reader of its makers reads. ``HBMAT``
-writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses symmetric
-matrices. Fields have a fixed width and may touch, so the widths in the header separate them (Duff,
-Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection, 1992).
+Ansys writes the binary ``.full`` file, which the package ansys-mapdl-reader of Ansys reads.
+``HBMAT`` writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses
+symmetric matrices. Fields have a fixed width and may have no blanks between them, so the widths in
+the header separate them (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix
+Collection, 1992).
 
 Nastran writes DMIG cards of a punch file, and OUTPUT4 files, which pyyeti reads. ``K...`` is the
 stiffness, ``K4...`` its structural damping, ``M...`` the mass and ``B...`` the viscous damping. The
-sidecar's ``matrices`` may name others. DMIG: MSC Nastran Quick Reference Guide; large, small and
-free fields.
+key ``matrices`` of the sidecar may state other names. DMIG: MSC Nastran Quick Reference Guide;
+large, small and free fields.
 
 Structural damping is the imaginary part H of a complex stiffness ``K + j H``. The loss is the
 imaginary part of a complex matrix, or a separate matrix: Nastran's ``K4...`` and Abaqus'
@@ -224,7 +225,7 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
 
 
 def is_harwell_boeing(head: bytes) -> bool:
-    """Whether the first lines of a file are a Harwell-Boeing header."""
+    """Return whether the first lines of a file are a Harwell-Boeing header."""
     lines = head.split(b"\n", 4)
     return len(lines) > 3 and _MATRIX_TYPE.match(lines[2] + b" ") is not None
 
@@ -258,7 +259,7 @@ def read_harwell_boeing(
     formats = _FORTRAN_FORMAT.findall(lines[3])
     if len(formats) < 3:
         raise ValueError("the line with the number formats cannot be read")
-    sides = lines[1].split()[4:]  # right-hand sides have a separate line
+    sides = lines[1].split()[4:]  # right-hand sides have a separate line in the header
     parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
     numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
     for (repeat, width), length, number in zip(formats, counts[1:], numbers_of, strict=False):

@@ -90,7 +90,7 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
 
 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
-    """The error of a file that allows more than one reading."""
+    """Return the error of a file with more than one possible meaning."""
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     expected = f"a file with one meaning, not {listed}"
     return UsageError(
@@ -387,7 +387,7 @@ def _combine_columns(
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # magnitude to which the phase belongs
+    # name of the magnitude that belongs to the phase
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns

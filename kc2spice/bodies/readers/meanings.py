@@ -27,7 +27,7 @@ CASE_FREE_PREFIXES = "kMGT"
 # capital letter are matched case-sensitively; all others ignore case.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    # an omega from another code page becomes an O
+    # in another code page, the letter omega becomes an O
     "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
@@ -65,7 +65,7 @@ UNITS_WITHOUT_PREFIX = (
     "degf",
     "min",
 )
-# phases of passive parts are within one turn for any wrapping
+# phases of passive parts are within one turn
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad: one turn plus 1 % for noise
 # An angle without unit is in rad if its magnitude is at most the first value and its spread above

@@ -251,7 +251,7 @@ def load_tables(path: Path) -> Sequence[TextTable]:
     return _parse_tables(_read_text(path))
 
 
-# The content of a file decides which reader is called; all of them need the same tables.
+# The content of a file determines which reader is called; all readers need the same tables.
 @lru_cache(maxsize=1)
 def _parse_tables(text: str) -> Sequence[TextTable]:
     return tuple(read_tables(text))

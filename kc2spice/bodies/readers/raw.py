@@ -39,7 +39,7 @@ NARROW_MATRICES = ("B", "C", "D")  # matrices with few rows or columns, stored a
 MAX_ROWS = 5_000_000  # rows or columns
 MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
 MAX_DENSE = 50_000_000  # entries of a full matrix
-MAX_NARROW_ENTRIES = 25_000_000  # entries of B, C or D, which may be more than their file holds
+MAX_NARROW_ENTRIES = 25_000_000  # entries of B, C or D, which may exceed the size of their file
 MAX_BYTES = 4_000_000_000  # one file, unpacked
 # bytes of an unpacked file: a fixed amount, and a multiple of its packed size
 UNPACKED_LIMITS = 100_000_000, 100
@@ -171,7 +171,7 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     ------
     UsageError : the matrix cannot be used; the message states why.
     """
-    # the coo format checks its indices
+    # the constructor of the coo format checks the indices
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
         call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
     matrix = drop_zero_imaginary(matrix)
@@ -227,7 +227,7 @@ class Dofs:
     def keys(self) -> np.ndarray:
         """One integer per row.
 
-        Rows with the same node and kind have the same integer, in the order of the nodes.
+        Return one integer for each row; rows with the same node and kind have the same integer.
         """
         return np.asarray(self.node * _KIND_COUNT + self.kind)
 

@@ -38,7 +38,7 @@ _GROUPED_PATTERN = re.compile(
     r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
 )
 SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate the fields
-_LINE_WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
+_LINE_WITH_COMMA = re.compile(".*,.*")  # a comma in a line of text is not a separator
 MIN_COLUMNS = 2
 MIN_ROWS = 2
 MAX_LINES = 100_000  # lines of a file: five times the accepted number of frequencies

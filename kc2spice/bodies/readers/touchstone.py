@@ -19,7 +19,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): The parameters are S, Y or Z in the form
     RI, MA or DB.
 
-    The first option line applies; by the standard, others are ignored.
+    The first option line applies; the standard requires that all further option lines are ignored.
     """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
@@ -79,7 +79,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     if kind == "s":
         _require_driven(P)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
+    # version 1 normalises all ports to the first reference
+    if kind != "s" and "version" not in keys:
         P = P * z0[0] if kind == "z" else P / z0[0]
     summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""

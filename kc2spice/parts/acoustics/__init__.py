@@ -1,1 +1,1 @@
-"""Parts of sound: radiation, listeners, cavities, vents and tubes."""
+"""Acoustic parts: radiation, listeners, cavities, vents and tubes."""

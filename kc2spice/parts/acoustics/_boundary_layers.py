@@ -65,7 +65,8 @@ def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
         ratio = np.where(np.abs(z) < LAYER_START, ive(1, thick) / ive(0, thick), 1.0)
         heat = 2 * ratio / z
         result = heat if layer == "heat" else (1 - heat) / q
-    # the first two terms of the power series, where the difference 1 - heat loses digits
+    # at small arguments, the difference 1 - heat loses digits, and two terms of the power series
+    # suffice
     slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
     return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
@@ -119,7 +120,7 @@ def fit_boundary_layer(layer: Layer, low: float, high: float, per_decade: int) -
 
 
 def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np.ndarray:
-    """Return corners from the lowest one on, dense over the band and sparse below it."""
+    """Return corner frequencies, dense over the band and sparse below the band."""
     first, top = LOWEST_CORNERS[layer], ABOVE * high
     dense = max(first, low / BELOW)
     top = max(top, 10 * dense)
@@ -138,7 +139,7 @@ def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _reaction(layer: Layer, value: np.ndarray) -> np.ndarray:
-    """Return the part of the function that stores energy."""
+    """Return the reactive part of the function, which stores energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 

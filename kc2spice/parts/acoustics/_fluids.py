@@ -27,8 +27,8 @@ from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # specific heats of a monatomic gas
-SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, thin gases and above all liquids
-SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above those of all fluids
+SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
+SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
 # lower limits: a thousandth of the values of the thinnest gases
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # Pa s
 SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)

@@ -6,8 +6,8 @@ A duct consists of sections with a series impedance and shunt compliances at bot
     Y'     = j omega A / (rho c^2) (gamma - (gamma - 1) F(omega a^2 / alpha))
 
 F is the function of viscous and thermal boundary layers (:mod:`._boundary_layers`); without losses,
-F = 1. Open ends move further fluid: 0.8216 a with and 0.6127 a without a flange (S. W. Rienstra and
-A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
+F = 1. An open end also moves fluid outside of the duct, of the length 0.8216 a with and 0.6127 a
+without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flang
 WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct propagates
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
-FEW_SECTIONS = 10  # most sections whose losses are as accurate as those of a vent
+FEW_SECTIONS = 10  # largest number of sections with losses as accurate as the losses of a vent
 CORNERS_OF_SECTIONS = 1  # corners in each decade of longer ducts; the error of losses is below 5 %
 FAR_END = "b"
 FAR_METER = "Vflow_b"
@@ -345,7 +345,7 @@ def _list_series(
 def _list_shunt(
     duct: Duct, node: str, index: int, part: Part[DuctKeys], width: float
 ) -> Iterator[AcousticElement]:
-    """Yield the compliance of a piece of the duct, and its thermal relaxations."""
+    """Yield the compliance of a section of the duct, and its thermal relaxations."""
     keys, fluid = part.keys, part.keys.fluid
     radius = keys.inner_radius
     size = math.pi * radius**2 * width / (fluid.density * fluid.sound_speed**2)

@@ -46,7 +46,7 @@ LOG_DECADES = 1.3  # smallest number of decades for a logarithmic frequency axis
 
 
 class ListenerKeys(Section):
-    """Place of the listener and the surfaces that the listener hears."""
+    """Place of the listener, and the radiating surfaces whose sound it receives."""
 
     sources: tuple[str, ...] = Field(
         (),
@@ -108,7 +108,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def radiations(
         self, part: Part[ListenerKeys], scene: DeclaredScene
     ) -> tuple[Part[RadiationKeys], ...]:
-        """Return the surfaces that the listener hears."""
+        """Return the radiating surfaces whose sound reaches the listener."""
         every = {item.name: item for item in scene.of_schema(RADIATION, RadiationKeys)}
         if not part.keys.sources:
             return tuple(every.values())
@@ -285,7 +285,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         }
 
     def _is_level_probed(self, part: Part[ListenerKeys], scene: Scene) -> bool:
-        """Return whether a probe reads the level, because its plot contains the same curve."""
+        """Return whether a probe reads the level, so that no further plot of it is needed."""
         name = f"{part.name}.{ACOUSTIC.across.symbol}"
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 

@@ -73,7 +73,8 @@ EQUAL_TIME_TOLERANCE = 1e-9  # distance of equal time points, relative to the du
 MAX_CHARGE_LOSS = 1e-4
 # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
 MAX_STORED_SHARE = 0.1
-ZERO_LOAD = 1e-9  # zero load, relative to the largest force or energy; far above rounding
+# load that counts as zero, relative to the largest force or energy; far above rounding
+ZERO_LOAD = 1e-9
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
@@ -179,10 +180,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def error_under_load(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
-        """Largest error of the reduced ``model`` under the loads of a run while these change.
+        """Return the largest error of the reduced ``model`` while the loads of a run change.
 
-        Also returns the states of the model that it is compared with. None if a load or a model
-        with more states is missing.
+        The second result is the number of states of the reference model. The result is None if a
+        load or a model with more states is missing.
         """
         loads, certificate = self.loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -249,7 +250,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def loads(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Loads of every kept port over time, in SI.
+        """Loads of every port of the reduced model over time, in SI.
 
         A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
         whose force is not recorded are left out.
@@ -270,12 +271,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Balance | None:
-        """Work of voltage and forces on the body against its exact response to the same loads.
+        """Compare the work of all loads on the body with its exact response to them.
 
-        The losses are the work on the exact response minus its stored energy. The electrical part
+        The losses are the work on the exact response minus its stored energy. The electrical work
         needs the current of the body among the waveforms. The scale is the largest change of the
-        stored energy, or its rounding error without motion. With coarse ringing, the check ends
-        when the last force on the body ends.
+        stored energy, or its rounding error without motion. If the ringing is not resolved, the
+        check ends when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
@@ -315,6 +316,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """A check of a reduced model's error, which warns before it fails."""
+    """Return the check of a reduced model's error, which prints a warning before it fails."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

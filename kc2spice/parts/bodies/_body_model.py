@@ -1,4 +1,4 @@
-"""Full and reduced models of a linear part, and the keys on which they depend."""
+"""Full and reduced models of a linear part, and the data that determine them."""
 
 from __future__ import annotations
 
@@ -71,8 +71,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     # classes of the reduced model over ranges of parameters, which the cache stores
     range_classes: tuple[type, ...] = (Varying, Loss)
-    ranges_from_zero = False  # whether ranges of parameters may begin at zero
-    material_table: type[BaseModel] = MaterialTable  # form of its materials in a scene
+    ranges_from_zero = False  # whether the ranges of its parameters may begin at zero
+    # class of the materials in the keys of the part
+    material_table: type[BaseModel] = MaterialTable
 
     @abstractmethod
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
@@ -87,7 +88,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return self.full(part, scene, clock)
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
-        """Keys on which the full model depends."""
+        """Data that determine the full model, as a key of the cache."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -97,7 +98,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """Reduction that the keys of the body or the scene state, None if neither does.
 
-        Keys that state only the parameters of the netlist do not count.
+        Parameters of the netlist alone are not a reduction.
         """
         specified: Rom | None = part.keys.rom
         if specified is not None and specified.model_fields_set != {"parameters"}:
@@ -250,7 +251,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
-            modal = resonators(small)  # later uses of these resonators need no eigenvalues
+            modal = resonators(small)  # the eigenvalues are computed once
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
                 problem, key = "a loss tangent applies only to models of resonators", "loss_tangent"
@@ -320,7 +321,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 
     def sources(self) -> tuple[str, ...]:
-        """Modules on whose text the models of this type depend, for the cache."""
+        """Modules whose text determines the models of this type, as a key of the cache."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*MODEL_SOURCES, *classes)
 
@@ -374,7 +375,7 @@ def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """Build the full model of a body in its scene, None if no matrices represent its losses."""
+    """Build the full model of a body in its scene; None if matrices cannot represent its losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)

@@ -41,7 +41,8 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes in time step control.
 
-        ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body without load.
+        They are ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body without
+        load.
         """
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
@@ -143,7 +144,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for pin in chain.from_iterable(port.terminals[1:] for port in ports):
             joins.append((pin, f"{n}.{pin}"))
         joins += [(last, f"{n}.{last}")] * heat
-        results: dict[str, laws.Reading] = {}  # under the names of vectors
+        results: dict[str, laws.Reading] = {}  # keyed by the names of vectors
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
             if port.paired:

@@ -204,7 +204,7 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # copies of it, with loads on all ports
+        # the deck contains copies of the body, with loads on all ports
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
@@ -247,7 +247,7 @@ def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
 def inert_ports(model: LinearModel) -> tuple[str, ...]:
     """Return the pins of displacements whose response to a sudden force is inertia alone.
 
-    At these pins D is zero, and no state without mass moves them.
+    At these pins D is zero, and states without mass do not contribute to their motion.
     """
     if model.first_order or not model.symmetric:
         return ()

@@ -45,7 +45,7 @@ class FaceLevels:
     power : radiated power relative to that of a piston with the same volume velocity; ``worst``
         is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz].
     unbaffled : level without a baffle, None if the body is no thin disc.
-    detuned : level at a frequency that is 1 % away, None without electrodes.
+    detuned : level at a frequency 1 % beside the resonance, None without electrodes.
     node : diameter [m] of the circle without motion, None without such a circle.
     support : differences on a ring of 0.99 and 1.01 of the diameter ``ring`` [m]; empty if unknown.
     """
@@ -93,7 +93,7 @@ class FaceOfBody:
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     def levels(self, hertz: Sequence[float] | np.ndarray) -> np.ndarray | None:
-        """Return levels [dB] at a constant voltage, up to a constant; None without electrodes."""
+        """Return levels [dB] relative to a constant; None without electrodes."""
         model = self.device.model
         drives = [port.name for port in model.ports if port.electrical]
         if not drives:

@@ -19,7 +19,7 @@ InterfaceResistance = Annotated[float, si("m2 K/W")]
 
 
 class FilmKeys(Section):
-    """Heat that faces give off in proportion to their temperature rise."""
+    """Heat transfer from faces to a fluid, in proportion to the difference of temperatures."""
 
     group: str = Field(
         description="Group of faces that transfer heat to the fluid; top or bottom for layers"
@@ -55,7 +55,7 @@ class InterfaceKeys(Section):
 
 
 class LayerKeys(Section):
-    """Layer of a stack through which heat flows straight down."""
+    """Layer of a stack, through which heat flows at right angles."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     thickness: Length = Field(gt=0, description="Thickness of the layer")
@@ -69,7 +69,7 @@ class LayerKeys(Section):
 
 
 class HeatSourceKeys(Section):
-    """Place where heat enters, and whose mean temperature the pin has."""
+    """Place where heat enters the body; the pin has the mean temperature of the place."""
 
     group: str | None = Field(
         None,
@@ -88,7 +88,7 @@ class HeatBodyKeys(MeshKeys):
     """Heat conducting body from a mesh, a CAD file, or a list of layers.
 
     Layers are listed from the top down. Their groups are ``top``, ``bottom``, and ``layer1``,
-    ``layer2`` and so on for the volume of each.
+    ``layer2`` … for the volume of each layer.
     """
 
     layers: tuple[LayerKeys, ...] = Field(

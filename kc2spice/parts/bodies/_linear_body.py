@@ -255,7 +255,7 @@ def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str,
     """The impedance (frequencies,) [Ohm] as metrics, and the values that an impedance analyser
     derives from it.
 
-    Without a resonance in the range the curve is the only metric.
+    If the range contains no resonance, the curve is the only metric.
     """
     from kc2spice.bodies.impedance import analyse_impedance
 

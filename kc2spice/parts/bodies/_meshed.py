@@ -1,9 +1,9 @@
 """Bodies whose stress and field a run computes on their mesh if the key ``fields`` is set.
 
-The full model moves under the port waveforms of the run (:mod:`kc2spice.bodies.fields`). The
-results are the largest principal stress and field of every material with their limits, and a VTU
-file and a picture of the body at the instant of the largest stress. An ``ac`` analysis also gives
-the shapes of the lowest modes.
+The full model computes the fields from the port waveforms of the run
+(:mod:`kc2spice.bodies.fields`). The results are the largest principal stress and field of every
+material with their limits, and a VTU file and a picture of the body at the instant of the largest
+stress. An ``ac`` analysis also gives the shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -356,7 +356,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         top = max(block.box[-1][1] for block in blocks)
         for block in blocks:
             made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
-            if len(block.box) == 3:  # a beam, about its middle
+            if len(block.box) == 3:  # a beam is drawn about its middle
                 outer /= 2
             label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
             kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
@@ -382,7 +382,7 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     panels = []
     for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
         rows = recovered.extremes_of(quantity)
-        if quantity == "opposing_field":  # otherwise the panel above contains the same curves
+        if quantity == "opposing_field":  # otherwise the panel above shows the same curves
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue

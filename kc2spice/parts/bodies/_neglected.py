@@ -20,7 +20,8 @@ from kc2spice.physics.declaration import ONE_TEMPERATURE
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Block  # which loads the finite elements
+    # the mass of these electrodes loads the finite elements
+    from kc2spice.bodies.device import Block
 
 # W/(m^2 K), heat transfer from a small surface to still air by convection and radiation: VDI Heat
 # Atlas, 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at about 20 K above the air
@@ -112,8 +113,8 @@ def neglected_effects(
 ) -> Iterator[Neglected]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    If ``support`` names the mounting, its compliance is one of the effects. A ``heated`` body has a
-    pin by which its losses leave.
+    If ``support`` names the mounting, its compliance is one of the effects. The losses of a
+    ``heated`` body flow out of its pin of heat.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)

@@ -102,8 +102,8 @@ def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
 def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     """Plot displacements, voltage and current of the ports of ``name``.
 
-    Waveforms are drawn over the shortest interval that includes every swing above 2 % of the
-    largest.
+    Waveforms are drawn over the shortest interval that contains all deviations above 2 % of the
+    largest deviation.
     """
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:
@@ -194,7 +194,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
-    # every three corners of a face: four corners make all triangles, in any order
+    # all triples of corners, so that the order of the four corners does not matter
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
@@ -204,15 +204,15 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
     x = low[0] + dot * (np.arange(count[0]) + 0.5)
     y = low[1] + dot * (np.arange(count[1]) + 0.5)
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
-    # at least two points for each dot
+    # at least two points for each pixel
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)
     result = []
-    for n in np.unique(steps):  # points of the triangles, with this number along each side
+    for n in np.unique(steps):  # number of points along each side of a triangle
         a, b = np.indices((n + 1, n + 1)).reshape(2, -1) / n
         weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
         result.append((weights @ triangles[steps == n]).reshape(-1, 4))
     dots = np.concatenate(result)
-    dots = dots[np.argsort(-dots[:, 2])]  # the nearest points are last
+    dots = dots[np.argsort(-dots[:, 2])]  # the points nearest to the viewer are drawn last
     column, row = np.clip(((dots[:, :2] - low) / dot).astype(int), 0, count - 1).T
     z = np.full((count[1], count[0]), np.nan)
     z[row, column] = dots[:, 3]

@@ -87,7 +87,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_levels import MAX_MODES, FaceLevels, FaceOfBody
 
         end = float(self.reduction(part, scene).band[1])
-        # a transient excites the first resonance most, and its band has no other meaning
+        # a transient excites the first resonance most, and its band does not limit the sound
         count = MAX_MODES if scene.analysis.small else 1
         key: dict[str, Any] = {
             "full": self.full_key(part, scene),

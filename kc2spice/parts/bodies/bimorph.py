@@ -50,7 +50,7 @@ GRADING_RATIO = 1.6
 
 
 class BimorphLayer(Section):
-    """One layer, over the whole beam."""
+    """One layer, which covers the whole beam."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     thickness: Thickness = Field(gt=0, description="Thickness of the layer")
@@ -136,7 +136,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
         return (x, x), y, z
 
-    # electrodes from the bottom up; across a conductor, and between two ceramics, they are one
+    # electrodes from the bottom up; faces of one conductor, or of two ceramics in contact, are one
+    # electrode
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
@@ -158,7 +159,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     fixed = {
         "cantilever": [clamp],
         "clamped": [clamp, ("xyz", end)],
-        # one corner of each edge is held: the width may change
+        # one corner of each edge is clamped, so that the width may change
         "simply_supported": [
             ("xz", across(0.0, full_width, (0.0, 0.0))),
             ("z", across(length, full_width, (0.0, 0.0))),

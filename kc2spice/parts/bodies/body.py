@@ -98,11 +98,11 @@ class PortKeys(Section):
     """A mechanical or acoustic port.
 
     ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
-    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
-    and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
-    **base* is the acceleration of the support of the body. *face* is the pressure on a face of the
-    surface and the volume that the face displaces. ``at`` names the mesh node nearest to a point
-    instead of a group.
+    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face rigid, with
+    one motion (``x`` … ``rz``) as the port, or without axis all six motions as ``NAME_x`` …
+    ``NAME_rz``; **base* is the acceleration of the support of the body. *face* is the pressure on a
+    face of the surface and the volume that the face displaces. ``at`` names the mesh node nearest
+    to a point instead of a group.
     """
 
     name: Name = Field(description="Name of the port and of its pin")
@@ -163,8 +163,7 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """A poling that turns about an axis with the position, or a poling per element from a CSV
-    file.
+    """A radial or tangential poling, or a poling of each element from a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an

@@ -38,7 +38,7 @@ _RADIAL_CELLS = 20
 
 
 class Feedback(Section):
-    """A ring (or disc) cut out of the top electrode, for self-oscillating buzzers.
+    """Ring or disc of the top electrode that drives the input of a self-oscillating buzzer.
 
     Data sheets show a tongue-shaped electrode. A ring of the same area represents it, because only
     the area matters.
@@ -233,7 +233,7 @@ def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[l
 def _electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Electrode on bare ceramic, without the feedback's ring and its gaps."""
+    """Return the faces of an electrode on bare ceramic, without the feedback ring and its gaps."""
     layers = [disc.layers[k] for k in ceramic]
     diameters = {layer.electrode_diameter for layer in layers}
     if len(diameters) > 1 and all(layer.electrodes for layer in layers):

@@ -93,7 +93,7 @@ from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.heat import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # elements in each layer
-# tolerance relative to the largest temperature of a pin, over that at a frequency
+# ratio of two tolerances: relative to the largest temperature of a pin, and at each frequency
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300
 RUN_POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
@@ -391,14 +391,14 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Return the model, whose thermal resistances follow from it at values of parameters."""
+        """Return the model with functions of the parameters for its thermal resistances."""
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
             return model
         known = [name for name in model.facts if name.startswith(RESISTANCE_PREFIX)]
         if not known:
             return model
-        resistances = static_resistances(model)  # of the ports that the scene uses
+        resistances = static_resistances(model)  # names of the ports that the scene uses
         exact = {name: resistances[name] for name in known if name in resistances}
         return replace(model, facts={**model.facts, **exact})
 
@@ -538,7 +538,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     if not moving.size:
         return
     t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_FREQUENCIES)
-    with np.errstate(over="ignore"):  # a mode without heat capacity settles at once
+    with np.errstate(over="ignore"):  # a mode without heat capacity has no transient
         settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
     curves = []
     for k, port in enumerate(modes.ports):
@@ -558,7 +558,8 @@ def _draw_field(
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        # element by element: at a joint with a resistance two temperatures have one height
+        # the curve is drawn for each element, because the temperature jumps at a joint with a
+        # resistance
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
         nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)

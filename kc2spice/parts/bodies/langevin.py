@@ -102,7 +102,7 @@ class Bolt(Piece):
 
 
 class LangevinKeys(FieldKeys):
-    """Masses are given outwards from the rings."""
+    """The lists of masses begin at the rings."""
 
     front: tuple[Cylinder, ...] = Field(min_length=1)
     back: tuple[Cylinder, ...] = Field(min_length=1)
@@ -135,7 +135,7 @@ class LangevinKeys(FieldKeys):
 
 
 def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> BondedBlocks:
-    """Make the pieces with electrodes, support and ports.
+    """Make the masses, rings and bolt with electrodes, support and ports.
 
     Raises
     ------

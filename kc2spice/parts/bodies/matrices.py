@@ -1,4 +1,4 @@
-"""The part ``matrices``: a linear model out of another tool's files, with named ports."""
+"""The part ``matrices``: a linear model from files of another program, with named ports."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
 
     def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
-        """Identification of the content of each file."""
+        """Return a hash of the content of each file."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return _read(*self._source(part, scene), str(self._stamps(part, scene)))
 
     def _source(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Path, Path | None]:
-        """Path of the matrices, and of the TOML file that is named."""
+        """Return the path of the matrices, and of their TOML file."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
             None

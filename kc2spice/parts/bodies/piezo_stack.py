@@ -1,4 +1,4 @@
-"""The layered piezoelectric chip: FE model, reduction, a subcircuit with rings as contact ports."""
+"""The part ``piezo_stack``: a finite-element model of a chip with contact rings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ if TYPE_CHECKING:
 DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio of 1 %
 # Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
 # add up:
-# launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol for chips of 1 %.
+# launch velocities of chips damped by 0.01 to 0.1 % have errors up to 2.6e-4 at the reltol for
+# chips of 1 %.
 RINGING = 4e-3
 UNDAMPED = 2e-4
 # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
@@ -125,9 +126,7 @@ class Stack(Chip, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """In a scene with the tables of the paper, the chip is driven unless unit loads are
-        applied.
-        """
+        """Add the drive of the paper to a chip, unless the scene applies unit loads."""
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
             return data
@@ -262,7 +261,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield Numerics(what, MAX_TIME_STEP, decides=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
-        """Weights of the modes; the ringing strikes the sphere if the kick begins downwards."""
+        """Return weights of the modes; a ringing chip strikes the sphere after a low kick."""
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:

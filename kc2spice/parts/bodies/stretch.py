@@ -2,7 +2,7 @@
 
 For a beam of length l with fixed ends, ``e = int w'^2 dx / 2`` is the elongation by bending, and
 ``stiffness e^2 / 2 + tension e`` is its energy: stiffness = E A / l (S. D. Senturia, Microsystem
-Design, 2001, chapter 10). The deflection is known by the means w_k of a row of equal strips of
+Design, 2001, chapter 10). The deflection is given by its means w_k over a row of equal strips of
 width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12
 d)``, exact for cubics, and beyond a clamp w is its mirror image.
 

@@ -50,6 +50,6 @@ class Control(Section):
 
     @property
     def switching_times(self) -> tuple[tuple[float, float], ...]:
-        """Times [s] and states, 1 enabled and 0 not, in order."""
+        """Times [s] of switching and the states from then on: 1 enabled, 0 disabled."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
         return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

@@ -1,9 +1,9 @@
 """A controller that is a Python function of sampled inputs.
 
 The output of the controller is constant between the samples. The function is defined in a file
-beside the scene, which runs only with ``--trust``. In Python it can be passed instead:
+beside the scene, which runs only with ``--trust``. A Python program may pass the function instead:
 ``kc.run(scene, functions={"NAME": function})``. A run that is repeated with other settings reads
-the file again. A passed function is called again from time 0 on.
+the file again, or calls the passed function again from time 0 on.
 """
 
 from __future__ import annotations

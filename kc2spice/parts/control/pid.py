@@ -61,7 +61,7 @@ GAIN_PARAMETERS = (
 
 
 def _terminals(output: bool) -> tuple[Terminal, ...]:
-    """Pins of a controller with an output stage, or with a command to a driver."""
+    """Pins of a controller that has an output stage or controls a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),
@@ -259,7 +259,7 @@ class Pid(PartType[Control]):
         return result
 
     def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
-        """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
+        """Return the ideal law, from which a circuit with amplifiers deviates."""
         keys, n, scene = part.keys, part.name, build.scene
         if build.net(part, "ref") != "0":
             return None
@@ -324,7 +324,7 @@ def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Last entry into ``target`` ± ``band``, interpolated; None if the data end outside."""
+    """Time of the last entry into ``target`` ± ``band``; None if the data end outside."""
     outside = np.abs(y - target) > band
     if outside[-1]:
         return None

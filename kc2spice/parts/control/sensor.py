@@ -52,7 +52,7 @@ class SensorKeys(Section):
 
 
 def sensor_declaration(keys: SensorKeys) -> Declaration:
-    """Reading: the position through one pole, shifted by the offset, without noise."""
+    """Declare the noiseless output: the position, filtered by one pole, plus the offset."""
     return Declaration(
         "sensor",
         "position sensor",

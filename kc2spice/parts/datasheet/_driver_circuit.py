@@ -234,13 +234,14 @@ def motor(
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign=SIGN + SOUND_SIGN * bool(sides),
         inner=tuple(more.inner),
-        # sound is the second derivative of the displacement, which must not be differentiated twice
+        # the sound follows from the velocity, because two numerical derivatives of the displacement
+        # are inaccurate
         velocities={"x": "speed_m"} if sides else {},
     )
 
 
 def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
-    """The cone, whose mass has nodes of its own in the netlist of the motor.
+    """The cone, whose mass has separate nodes in the netlist of the motor.
 
     ``air`` [kg] is the share of ``mass`` that joined parts of type radiation contain. ``added``
     [kg] is a further mass that is fixed to the cone.

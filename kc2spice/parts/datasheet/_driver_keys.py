@@ -26,7 +26,7 @@ from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import ConductorKeys
 
 AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
-# Unknowns, and a usual woofer of 17 cm where the iteration begins, in SI.
+# Unknowns with start values of the iteration in SI: a common woofer of 17 cm.
 AREA_KEYS = ("sd", "vas", "mmd")  # keys whose relations contain the area of the cone
 EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
 Area = Annotated[float, si("m2")]
@@ -113,7 +113,7 @@ DRIVER_PARAMETERS = {
 
 
 def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """All values of a sheet from ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd``."""
+    """Compute all data-sheet values from ``re``, ``bl``, ``mms``, ``cms``, ``rms``, ``sd``."""
     w = 1 / math.sqrt(driver["mms"] * driver["cms"])
     qms = w * driver["mms"] / driver["rms"]
     qes = w * driver["mms"] * driver["re"] / driver["bl"] ** 2

@@ -20,11 +20,11 @@ import numpy as np
 _FIT_POINTS, _CHECK_POINTS = 120, 2000  # frequencies of the fit, and of the error estimate
 # band of semi-inductances [rad/s]: 5 Hz to 50 kHz, the audio band and an octave beyond
 SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
-# Branches of the ladder of semi-inductance: each further one divides the error by 2.3.
+# Branches of the ladder of semi-inductance: each further branch divides the error by 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
 # band of suspension creep, relative to the creep frequency
 CREEP_BAND = 1e-3, 30.0
-CREEP_ELEMENTS = 6  # elements of the ladder of creep: each further one divides the error by 2.9
+CREEP_ELEMENTS = 6  # elements of the ladder of creep: each further element divides the error by 2.9
 
 
 @dataclass(frozen=True)

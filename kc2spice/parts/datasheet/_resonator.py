@@ -196,7 +196,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return the paths between its pins except the pin of heat, which has none."""
+        """Return the paths between all pins except the pin of heat."""
         paths = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in paths if HEAT not in path))
 
@@ -331,5 +331,5 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def mode_suffixes(modes: int) -> Sequence[str]:
-    """Endings of the names of each mode's elements: none of a single mode."""
+    """Endings of the names of each mode's elements; empty for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -28,7 +28,8 @@ SOLUTION_TOLERANCE = 1e-6  # relative error of an equation that counts as solved
 RESTART_FACTOR = 30.0  # factor on one unknown at the start of the search for another circuit
 # difference of the logarithm of an unknown above which two circuits differ
 DISTINCT_DIFFERENCE = 1e-3
-SMALLEST_VALUE = 1e-24  # SI, far below any data-sheet value; its inverse is far above
+# in SI, far below all values of data sheets; its reciprocal is far above them
+SMALLEST_VALUE = 1e-24
 LARGEST_LOGARITHM = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
 Relation = Callable[[np.ndarray], float]
@@ -39,9 +40,9 @@ class StatedValues:
     """Values of a data sheet by their keys, and each value as a function of the unknowns.
 
     ``relations`` has the functions of all values that a sheet may state, of the unknowns
-    ``start.size`` in SI. ``start`` contains the first values of the iteration. Values have the
-    relative ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are the units of the
-    values.
+    ``start.size`` in SI. ``start`` contains the first values of the iteration. Each value has its
+    stated relative ``tolerance``, otherwise the tolerance ``rounding``. ``units`` are the units of
+    the values.
     """
 
     part: str
@@ -194,7 +195,7 @@ class StatedValues:
         raise self._contradiction(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Whether the value implied by the others differs by more than all tolerances."""
+        """Return whether a value contradicts the value that all others imply."""
         implied = sum(share * self._residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
         return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)

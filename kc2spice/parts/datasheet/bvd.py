@@ -37,7 +37,7 @@ from kc2spice.scene.parttype import register
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
-# Elements relative to the clamped capacitance and the frequency, where the iteration begins: those
+# Start values of the iteration, relative to the clamped capacitance and the frequency: the values
 # of a ceramic with a coupling of 0.22 and a Q factor of 100.
 START_RATIO = 0.05
 START_QUALITY = 100.0
@@ -193,7 +193,7 @@ stop = "10 kHz"
         return Resonator.from_unknowns(values.solve())
 
     def _mode_count(self, part: Part[BvdKeys]) -> int:
-        """Number of modes; UsageError if lists differ in length."""
+        """Return the number of modes; lists of different lengths are a UsageError."""
         counts = {name: len(v) for name in MODE_VALUES if (v := getattr(part.keys, name))}
         most = max(counts.values(), default=1)
         short = [name for name, count in counts.items() if count < most]
@@ -340,7 +340,7 @@ def _key_words(keys: BvdKeys, key: str, value: float) -> str:
 
 
 def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
-    """Parameter of one mode. With several modes, the coupling refers to each mode with c0."""
+    """Parameter of one mode. Return the coupling of a mode alone with ``c0`` as a parameter."""
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5

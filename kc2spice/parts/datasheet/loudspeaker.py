@@ -159,7 +159,7 @@ stop = "1 kHz"
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
-        """Parameters from the keys; UsageError if the keys do not determine the values."""
+        """Return the parameters that the keys determine; a UsageError if they do not."""
         keys = part.keys
         stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:
@@ -221,7 +221,7 @@ stop = "1 kHz"
         return motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Pins of the motor, of which the cone may stay free."""
+        """Pins of the motor; the pin of the cone may stay open."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
@@ -249,7 +249,7 @@ stop = "1 kHz"
     ) -> tuple[Subcircuit, ...]:
         d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
         mass = self._cone(part, build.scene)
-        d = replace(d, given=(*d.given, *mass.given[1:]))  # mms is a parameter of the motor
+        d = replace(d, given=(*d.given, *mass.given[1:]))  # the motor already has a parameter mms
         cone, values = subcircuit_items(mass), d.values(part.keys)
         return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
 

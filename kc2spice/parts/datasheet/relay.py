@@ -65,7 +65,7 @@ class Timing:
 
 
 def solve_timing(part: Part[RelayKeys]) -> Timing:
-    """Inductance and time constant by which a relay at its rated voltage takes its operate time.
+    """Compute the inductance and the time constant that give the operate time at rated voltage.
 
     The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then
     reaches the middle of its travel after ``ln 2`` time constants.
@@ -111,7 +111,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
 
 
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
-    """Coil, armature and contacts; the armature is at 0 at rest and at 1 when it has operated.
+    """Declare coil, armature and contacts; the armature moves from 0 at rest to 1.
 
     The armature moves towards 1 while the voltage of the resistance is above the pick-up voltage,
     or above the release voltage and the armature is beyond the middle. Contacts switch in the

@@ -51,7 +51,7 @@ _NOTHING: Mapping[str, Any] = {}
 
 
 class InputNoise(Section):
-    """White noise of an operational amplifier's inputs, in a noise analysis alone."""
+    """White noise of an operational amplifier's inputs, only in a noise analysis."""
 
     noise_voltage: Voltage | None = Field(
         None,
@@ -164,7 +164,8 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-# relative margin of span and current, for the resistance of rails and errors of saved points
+# relative margin of voltage and current, for the resistance of the supplies and errors of saved
+# points
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -180,7 +181,7 @@ class Load(NamedTuple):
 
 
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
-    """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 without a pin ``ref``."""
+    """Voltages ``PART.PIN`` of pins against ``ref``, or against node 0 without a pin ``ref``."""
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
     for pin in pins:
@@ -198,8 +199,10 @@ def ends(*terminals: str) -> tuple[Terminal, ...]:
 
 
 class Driver(TemplatePart[KeysT]):
-    """From ``command`` to its terminals; the last resistor of its netlist is ``Rout``, which begins
-    at ``inner_node``."""
+    """Part with the pin ``command`` and driven terminals.
+
+    The last resistor of its netlist is ``Rout``, which begins at ``inner_node``.
+    """
 
     opamp: ClassVar[Level | None] = "slew"
     inner_node: ClassVar[str] = "drive"
@@ -264,7 +267,7 @@ class CoilDriver(Driver[KeysT]):
 
     @abstractmethod
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Parameters and values of its template for these coils."""
+        """Return parameters and values of the template for these coils."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         """Join the command to the only controller of the scene."""
@@ -292,7 +295,7 @@ class CoilDriver(Driver[KeysT]):
 
 
 def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
-    """The part of this kind that a pin is joined to."""
+    """Return the part of this kind at a pin."""
     joined = (scene.parts[name] for name, _ in scene.joined(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)
 

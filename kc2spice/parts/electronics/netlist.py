@@ -328,7 +328,7 @@ def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
 
 @dataclass(frozen=True)
 class _File:
-    """Pins of every subcircuit of a file, by its name in lower case; whether it drives ``ac``."""
+    """Pins of every subcircuit of a file, and whether it drives an ``ac`` analysis."""
 
     pins: dict[str, tuple[str, ...]]
     excites: bool

@@ -75,7 +75,8 @@ class Kind(NamedTuple):
 
 
 SOURCE_TYPES = {name: Kind(*place) for name, place in QUANTITIES.items()}
-# Sources whose steps an inductance or a mass smooths. Other sources prescribe motions or flows.
+# Kinds of sources whose steps an inductance or a mass filters. Other sources prescribe motions or
+# flows.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file
@@ -228,7 +229,8 @@ class Source(PartType[SourceKeys]):
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
-            kinked = part.keys.kind == "displacement" and moves  # also a sine that starts later
+            # a sine with a later start also has a jump of velocity
+            kinked = part.keys.kind == "displacement" and moves
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
         constant = part.keys.waveform(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
@@ -308,12 +310,15 @@ class Source(PartType[SourceKeys]):
 
 
 def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Highest frequency [Hz] of a wave after a filter with a ``share`` of a time constant [s]."""
+    """Return the highest frequency [Hz] of a wave after a filter.
+
+    The time constant [s] of the filter is multiplied by ``share``.
+    """
     return find_waveform_frequency(wave, stop, share * constant)
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-    """Whether a dc sweep moves it to the end and back."""
+    """Return whether a dc sweep returns to the first value of the source."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
@@ -322,7 +327,7 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 def _sweep_cards(
     part: Part[SourceKeys], build: Build, kind: Kind, ends: list[str]
 ) -> Iterator[Element]:
-    """Source of a sweep that returns from ``to``.
+    """Return the cards of a source whose sweep returns from ``to``.
 
     The simulator sweeps a voltage beyond ``to``. The source folds it at ``to``, so that both
     directions form one sweep and each point starts from the solution of the previous point.
@@ -343,9 +348,7 @@ def _sweep_cards(
 
 
 def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
-    """Yield the largest steps and frequencies of a wave: sines that start, or edges
-    (``EDGE_FACTOR``).
-    """
+    """Yield the largest steps and the frequencies of a sine or of edges."""
     if not wave.straight:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
@@ -360,7 +363,7 @@ def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
 
 
 def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:
-    """Whether the voltage of the source drives only inputs of signals, which draw no current."""
+    """Return whether the source drives only signal inputs, which draw no current."""
     scene = build.scene
     flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}
     return flows == {"-"} and build.net(part, "ret") == "0"
@@ -385,7 +388,7 @@ def _make_waveform(points: np.ndarray, what: str) -> Waveform:
 
 
 def _read_table(home: Path, name: str) -> np.ndarray:
-    """Rows ``time, value`` of a CSV file beside the scene."""
+    """Return the rows ``time, value`` of a CSV file beside the scene."""
     path = locate_file_in_folder(home, name, "file")
     try:
         data = read_bounded(path, 40 * MAX_ROWS)

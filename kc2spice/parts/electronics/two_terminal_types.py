@@ -50,8 +50,7 @@ from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):
-    """An element: its ``key`` with unit, its ``stated`` energies, and the source of its
-    example."""
+    """Data of an element: ``key`` with unit, ``stated`` energies, source of its example."""
 
     name: str
     title: str
@@ -153,13 +152,12 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _letter(self) -> str:
-        """Letter of the element's card, in which a displacement is a voltage and a velocity its
-        rate."""
+        """Return the letter of the card, for a displacement as voltage."""
         return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
     def _unit_factor(self) -> Number:
-        """Factor from an admittance in SI to amperes and volts of the pins."""
+        """Return the factor that converts an admittance in SI to amperes and volts of the pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 

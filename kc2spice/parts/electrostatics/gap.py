@@ -16,8 +16,8 @@ term::
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
 
 The largest ``branches`` terms have a spring, and the dampers of all other terms form one damper.
-The number of branches keeps damping and force within a tolerance up to the highest frequency of
-the scene. All dampers grow as ``(gap / mean d)^3`` when the gap closes.
+The number of branches is so large that damping and force are within a tolerance up to the highest
+frequency of the scene. All dampers grow as ``(gap / mean d)^3`` when the gap closes.
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ from kc2spice.scene.rows import Vector
 PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
 # error of the force over the displacement at an operating point, due to iterations
 ITERATION_ROUNDING = 1e-9
-# change of the capacitance, relative; above rounding errors of ngspice at rest
+# relative change of the capacitance that counts; above rounding errors of ngspice at rest
 MAX_CAPACITANCE_CHANGE = 1e-5
 # odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
 MAX_SERIES_INDEX = 99
 REFINEMENT_RATIO = 2  # ratio of the branches of the film in verify to those in the netlist
-# number of branches that follows from the scene: the motion may be faster than the drive
+# branches that the frequencies of the scene require; the motion may be faster than the drive
 FEWEST = 3
 MOST = 100
 
@@ -211,7 +211,7 @@ class Gap(PatchedPart[GapKeys]):
     def checks(
         self, part: Part[GapKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks, after a dc sweep also of unstable points.
+        """Yield the checks; after a dc sweep, they include a check for unstable points.
 
         No point may be on the branch between pull-in and release. The capacitance of a stable
         point never falls with ``v^2``.
@@ -312,7 +312,7 @@ def truncation_error(film: Film, gap: float, branches: int, frequency: float) ->
 
 
 def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Recorded displacements ``x`` or forces ``force`` of all patches."""
+    """Return the recorded displacements ``x`` or forces ``force`` of all patches."""
     prefix = f"{part.name}.{word}"
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
 
@@ -364,7 +364,8 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
         # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
-        if keys.fringing is not None:  # no iterate may take a root of a negative number
+        # the argument of a root must not be negative in any iteration
+        if keys.fringing is not None:
             gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
             capacitance = f"share{k}*area/width*(width/gap/{gap} + 0.77 + {roots})"
@@ -446,7 +447,7 @@ def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _split_series(
     film: Film, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Return the terms with a spring, and the sum of the other dampers times gap^3.
+    """Split the series into terms with a spring, and the sum of all other dampers.
 
     A term is its damper times gap^3, its spring times gap, and the share of each patch in its
     motion.

@@ -38,7 +38,7 @@ LOOKUP_HEIGHTS = 2001  # heights at which the lookup is read: five per segment
 
 
 class CurrentCasesKeys(Section):
-    """Each coil takes each current; the sphere's height is swept over the whole table."""
+    """Currents of each coil; the height of the sphere is swept over the whole table."""
 
     currents: tuple[Current, ...] = Field(
         (-0.1, 0.0, 0.1),

@@ -1,6 +1,6 @@
 """Frequency response of a body from every port to every port.
 
-One copy of the body per load (Fig. 7).
+The deck contains one copy of the body for each load (Fig. 7).
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
-        """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
+        """Return complex results ``INPUT>OUTPUT`` in m, C and V."""
         body = body_of(part, build.scene)
         rings = _rings(body, build.scene)
         meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")

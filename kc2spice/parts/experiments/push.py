@@ -137,7 +137,7 @@ class Push(TouchablePart[PushKeys]):
 
 
 def _pair(part: Part[PushKeys], scene: GovernedScene) -> Pair:
-    """Contact pair of the sphere and the surface that it is pushed into."""
+    """Return the contact pair of the sphere and the surface below it."""
     return make_pair(scene.partner(part, "contact"), scene)
 
 

@@ -30,7 +30,7 @@ from kc2spice.scene.rows import Numerics, State
 
 
 class ThrowKeys(Section):
-    """A free sphere flies onto a body."""
+    """Impact of a free sphere on a body."""
 
     velocity: Velocity = Field(
         -1.0, description="Initial velocity of the sphere, negative for a downward motion"
@@ -82,7 +82,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     def metrics(
         self, part: Part[ThrowKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Positions from the touching height, the force of one symmetry sector."""
+        """Return positions relative to first contact, and the force of one symmetry sector."""
         pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}

@@ -68,7 +68,8 @@ MAX_TURNS = 5
 REFINEMENT_RATIO = 2  # ratio of rings and of frequency, full to reduced model
 CIRCLE_METHOD = "closed form of coaxial circles"  # source of the couplings without rings
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
-SCREENED_RATIO = 0.5  # inductance of a coil over a conductor, relative to that without it
+# inductance of a coil above a conductor, relative to its inductance without the conductor
+SCREENED_RATIO = 0.5
 # largest frequency of a run's currents, relative to the resolved frequency
 MAX_FREQUENCY_RATIO = 2.0
 # fraction of energy below the highest frequency; a short sine has energy above its own frequency
@@ -76,7 +77,7 @@ SEEN = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss by the rings
 # largest change of the path of a magnet if the tolerance of its field is ten times smaller
 MOVED = 1e-3
-MIN_CHANGE = 0.1  # least part of the error of the rings that finer rings are assumed to show
+MIN_CHANGE = 0.1  # assumed smallest ratio of the change by finer rings to the error of the rings
 
 
 class CoilKeys(Section):
@@ -97,7 +98,7 @@ class MagnetKeys(Ring):
 
 
 class Conduction(Section):
-    """Keys on which the loops of a body in its netlist depend."""
+    """Keys that determine the current loops of a body in its netlist."""
 
     conductivity: Conductivity = Field(
         gt=0, description="Electrical conductivity of the body, such as 3.4e7 1/(Ohm m)"
@@ -235,7 +236,7 @@ MovingT = TypeVar("MovingT", bound=Moving, default=Moving)
 class MovingBody(DeclaredPart[MovingT]):
     """A body that moves in the field of coils and magnets."""
 
-    results_of_model = True  # as many loops as the model has
+    results_of_model = True  # the model has this number of loops
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
@@ -336,7 +337,7 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
-        except UsageError as error:  # the range of heights causes this error
+        except UsageError as error:  # this error depends on the range of heights
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
@@ -516,12 +517,12 @@ def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]
 
 
 def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
-    """Skin depth [m]: ``1 / sqrt(pi f MU_0 conductivity)``."""
+    """Skin depth [m]: Return the skin depth [m], ``1 / sqrt(pi f MU_0 conductivity)``."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
 def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
-    """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
+    """Divide the body into rings that resolve the skin depth at a frequency [Hz]."""
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
     def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from kc2spice.scene.rows import Neglected
 
 
 class Magnetisation(Section):
-    """Keys on which the field of a magnet in its netlist depends."""
+    """Keys that determine the field of a magnet in its netlist."""
 
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 

@@ -121,7 +121,7 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 
 
 def rated_heating(keys: Coils) -> float:
-    """Integral of the squared current [A^2 s] that warms the wire by its rated rise.
+    """Return the integral of the squared current [A^2 s] for the rated temperature rise.
 
     Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns.
     """
@@ -149,7 +149,7 @@ def coils_subcircuit(
     rating: str = UNRATED,
     wire: tuple[float, float] | None = None,
 ) -> Subcircuit:
-    """The coils and the force they put on the sphere's node ``v``.
+    """Return the subcircuit of the coils, with the force on the node ``v`` of the sphere.
 
     ``apart``: coils between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF.
     Otherwise both coils are resistors between ``drive`` and ``ret``, the lower coil reversed:
@@ -302,12 +302,12 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _make_unit_catch(self, part: Part[Coils], count: int) -> Catch:
-        """Keys on which a table depends, besides the sphere's radius."""
+        """Return the keys that determine a force table, besides the sphere's radius."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
-        """Keys on which the force table depends."""
+        """Return the keys that determine the force table."""
         catch = self._make_unit_catch(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
@@ -315,7 +315,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         """Compute the table for unit remanence, then scale and shift it, which is exact.
 
         A ``full`` table is so dense that the interpolation error of its splines is
-        ``DENSITY_RATIO**4`` times smaller. Air box and ring move together.
+        ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
         unit = self._make_unit_catch(part, count)
@@ -603,7 +603,7 @@ def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]
 
 
 def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
-    """Whether the part joins pins, or another part joins a pin of its coils."""
+    """Return whether a pin of the coils is joined to another part."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *COIL_PINS)}
     for other in scene.parts.values():
         joined = (*other.pins.values(), *scene.joins[other.name].values())

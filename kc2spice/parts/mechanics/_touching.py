@@ -1,4 +1,4 @@
-"""Data that touching parts exchange: surfaces, largest approach, and separation."""
+"""Data that parts in contact exchange: surfaces, largest indentation, and separation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPHERE_PATCH = "patch"  # port of an elastic sphere
 # is 1.8, from a basis a quarter as wide.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of the chip; a shorter flight is a bounce within the kick
-# margin of an indentation, because a body is not a half-space and few rings carry the force
+# safety factor on an indentation, because a body is not a half-space and few rings carry the force
 _INDENTATION_MARGIN = 1.25
 
 
@@ -69,7 +69,7 @@ class Surface:
 
     @property
     def force_pins(self) -> tuple[str, ...]:
-        """Pins that take the force."""
+        """Pins on which the force acts."""
         return (self.velocity,) if self.velocity else self.ports
 
     def joins(self, pins: Iterable[str], scene: GovernedScene) -> dict[str, str]:
@@ -206,7 +206,7 @@ class Pair:
 
     @cached_property
     def deepest_penetration(self) -> Penetration:
-        """Largest indentation that a part of the scene, or the part at side ``b``, can cause."""
+        """Return the largest indentation [m] that any part of the scene can cause."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         result = [Penetration(0.0, "its weight")]
@@ -217,8 +217,7 @@ class Pair:
 
     @property
     def starts_moving(self) -> bool:
-        """Whether one side starts with a prescribed velocity, or both sides may; a ceiling never
-        moves."""
+        """Return whether a side may start with a velocity; a ceiling never moves."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     def forces(self, waves: Waveforms) -> np.ndarray:
@@ -229,7 +228,7 @@ class Pair:
 
     @cached_property
     def normal(self) -> Normal:
-        """The whole device's law at each port.
+        """Return the contact law of the whole device at each port.
 
         A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
         sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove
@@ -323,7 +322,7 @@ class Pair:
         return np.asarray(force / result.sum() * result)
 
     def basis_error(self) -> float:
-        """Gate of the law against a full model with a finer basis, relative: 0 for rings.
+        """Return the largest relative difference to a model with a finer basis; 0 for rings.
 
         The error is the difference to the force of a basis half as wide, at depths from half of the
         largest depth of the scene. Both forces include the compliance of the patch.
@@ -421,8 +420,8 @@ def find_separation(
     A gap is a flight if it lasts 20 us or until the data end. A body that rebounds and strikes
     again later also leaves such an interval without contact. The launch is the first flight with at
     least half of the largest speed among the flights that begin within 20 us after ``busy`` [s],
-    the end of the drive. Without such a flight, the launch is the first flight. By default the
-    drive is not known and all flights count.
+    the end of the drive. If no flight is that fast, the launch is the first flight. By default, the
+    end of the drive is unknown, and all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)

@@ -71,7 +71,7 @@ INDENTATION_PIN = "dent"  # pin that is joined to the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
-    """The physics of a contact depends on its keys and on the touching parts."""
+    """The part type of contacts; the law of a contact depends on its keys and on both parts."""
 
     name = "contact"
     title = "unilateral penalty contact"
@@ -301,7 +301,7 @@ def _declare(
 
 
 def _sum_factors(pair: Pair) -> dict[str, float]:
-    """Return the factors of results that are sums of all forces; ``flank`` in a groove alone."""
+    """Return factors of results that are sums of forces; ``flank`` only in a groove."""
     return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
 
 
@@ -342,17 +342,17 @@ def _loaded_interval(force: np.ndarray) -> slice:
 def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
     """Yield the energy balance of the springs: work, stored energy and damping.
 
-    Springs release all energy that they store. A gain of energy is a rebound that is too high. The
-    scale is the work on the springs, or their stored energy if nothing moves.
+    Springs release all energy that they store. A gain of energy indicates a rebound that is too
+    high. The scale is the work on the springs, or their stored energy if nothing moves.
     """
     normal, ports = pair.normal, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
     if any(height is None for height in heights):
         return
-    closing = np.array(heights) - place  # as all of these (ports, n)
+    closing = np.array(heights) - place  # both arrays have the shape (ports, n)
     force, p = pair.forces(waves), normal.power
     elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
-    if normal.damping or normal.radius:  # the force does not depend on the depth alone
+    if normal.damping or normal.radius:  # the force also depends on the velocity
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
@@ -411,12 +411,12 @@ def _check_open_ports(
 ) -> Iterator[Check]:
     """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
-    Nothing records that port. Without contact, the next port would rise with the outermost port of
-    the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj F_j``. The indentation
-    of this port only increases the distance to the sphere. S is the static compliance, because the
-    response time over the spacing of one ring is negligible. Compared with models with all rings,
-    the estimate is 10 to 100 % above the largest motion of the next ring, and never more than 5 %
-    of its gap below.
+    Nothing records that port. The check assumes that the next port, without contact, rises with the
+    outermost port of the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj
+    F_j``. The indentation of this port only increases the distance to the sphere. S is the static
+    compliance, because the response time over the spacing of one ring is negligible. Compared with
+    models with all rings, the estimate is 10 to 100 % above the largest motion of the next ring,
+    and never more than 5 % of its gap below.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:

@@ -33,7 +33,7 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-# multiple of the lowest frequency that limits the band; the sphere breathes below it
+# end of the band relative to the lowest natural frequency; the band contains the radial mode
 BAND_RATIO = 2.0
 
 
@@ -73,7 +73,7 @@ elastic = true
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        _contact(part, scene)  # raises the errors of impossible contacts
+        _contact(part, scene)  # this call raises the errors of impossible contacts
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = sphere_material(owner)
         if stuff.piezoelectric:
@@ -142,7 +142,7 @@ elastic = true
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Weights without free ringing, which has no effect on other parts.
+        """Return weights that ignore the ringing in free flight.
 
         With 0.01 % of damping, the steps would resolve the ringing at megahertz in flight, with
         eight times as many steps.

@@ -32,7 +32,7 @@ from kc2spice.scene.rows import FrameShake, Rest
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
-_FRAME_PIN = "frame"  # pin of the acceleration of a frame; of a second one frame2
+_FRAME_PIN = "frame"  # pin of the acceleration of a frame; the pin of a second frame is frame2
 
 
 class MassKeys(Section):

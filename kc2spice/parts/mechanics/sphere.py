@@ -111,7 +111,7 @@ class SphereKeys(Section):
     def _require_elastic_key(
         cls, elastic: bool | dict[str, Any] | None
     ) -> bool | dict[str, Any] | None:
-        """A rigid sphere does not have this key."""
+        """Raise an error for a key that only an elastic sphere has."""
         return None if elastic is False else elastic
 
     @property
@@ -125,8 +125,8 @@ def rigid_sphere(
 ) -> Declaration:
     """Declaration of a sphere by the height x of its lowest point above first touch.
 
-    With the height of the centre, an indentation of a picometre would be lost in rounding. Without
-    ``uic`` ngspice starts from the operating point.
+    As a difference of heights of the centre, an indentation of a picometre would be a rounding
+    error. Without ``uic`` ngspice starts from the operating point.
     """
     declaration = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
@@ -342,7 +342,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
 
 def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
-    """The sphere that another part throws, pushes or pulls."""
+    """Return the sphere that another part throws, pushes or pulls."""
     return scene.partner(part, "sphere", "of").with_schema(SphereKeys)
 
 
@@ -373,7 +373,7 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
 
 
 def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Offset of a pin for the height of a centre from its law's coordinate [m]."""
+    """Return the height [m] of the centre at a pin, minus the coordinate of the law."""
     ball = _sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
@@ -395,7 +395,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
 
 
 def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
-    """Size of the softer contact with an elastic sphere, by default of steel."""
+    """Return the effect of an elastic sphere, by default of steel, on the contact."""
     sphere_modulus = sphere_material(part).indentation_modulus
     moduli = [make_pair(contact, scene).a.modulus for contact in scene.of("contact")]
     stiffest = max(filter(None, moduli), default=0.0)
