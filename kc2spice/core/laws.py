@@ -13,6 +13,7 @@ mode. A linear device also becomes constant matrices.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -59,14 +60,16 @@ class Reading:
     """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
 
     ``terms`` are the pairs ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``, and
-    a current becomes a charge. ``rate`` multiplies an ac result by ``j omega``; other analyses do
-    not have this result.
+    a current becomes a charge. ``rate`` multiplies an ac result by ``j omega`` and by a
+    :func:`low_pass` with the corner frequency ``corner`` [rad/s]; other analyses do not have this
+    result.
     """
 
     terms: tuple[tuple[float, str], ...]
     constant: float = 0.0
     charge: bool = False
     rate: bool = False
+    corner: float = math.inf
 
     @property
     def waves(self) -> tuple[str, ...]:
@@ -76,6 +79,15 @@ class Reading:
     def combine(self, waves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the sum of the waves times their factors, without the constant."""
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
+
+
+def low_pass(s: np.ndarray, corner: float) -> np.ndarray:
+    """Return the response of a low pass of second order, ``1 / (1 + sqrt(2) s / w + (s / w)^2)``.
+
+    The corner frequency w [rad/s] may be infinite.
+    """
+    x = s / corner
+    return np.asarray(1 / (1 + math.sqrt(2) * x + x**2))
 
 
 def scaled_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:

@@ -21,6 +21,7 @@ from kc2spice.core.laws import (
     PortBody,
     Reading,
     SecondOrderBody,
+    low_pass,
     sensor_block,
 )
 
@@ -101,7 +102,7 @@ def _evaluate_reading(
         return None if item.rate else np.asarray(value + item.constant)
     s = 2j * np.pi * scale
     if item.rate:
-        return np.asarray(s * value)
+        return np.asarray(s * low_pass(s, item.corner) * value)
     return np.asarray(value / s) if item.charge else value
 
 

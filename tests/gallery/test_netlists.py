@@ -39,6 +39,7 @@ ROM = re.compile(
     r"(?:\n(?:\*|//)   .*)*"
 )
 IS_ROM = re.compile(r"(?m)^(?:\*|//) rom: ")  # the library of one, not a deck that names it
+REFERENCES = ("cathode", "base", "ambient")  # pins that are joined to node 0
 
 
 def parts(text):
@@ -95,7 +96,7 @@ def response(path, stop, directory, values=None):
     ``values`` of its parameters."""
     (part,) = read_lib(path)
     words = "".join(f" {name}={value!r}" for name, value in (values or {}).items())
-    ends = [p.name for p in part.pins if p.name not in ("cathode", "base")]
+    ends = [p.name for p in part.pins if p.name not in REFERENCES]
     volts = {p.name for p in part.pins if p.unit == "V"}
     cards, saved = [], {}
     for k, load in enumerate(ends):

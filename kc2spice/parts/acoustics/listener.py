@@ -22,6 +22,12 @@ from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, positive_param
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.parts.acoustics._acoustic_part import RATING
+from kc2spice.parts.acoustics._far_field import (
+    baffled_radius,
+    first_null,
+    propagate_response,
+    propagate_wave,
+)
 from kc2spice.parts.acoustics.radiation import REFERENCE_DISTANCE, SOUND, RadiationKeys
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.highest_frequency import highest_frequency
@@ -42,6 +48,8 @@ from kc2spice.scene.rows import Neglected, Vector
 OUT = "out"  # pin of the sound pressure
 RADIATION = "radiation"  # part type of the sources
 RIGHT_ANGLE = 90.0  # degrees, largest angle in front of a baffle
+# Functions that add directivity and travel time to a sound pressure, by the scale of an analysis.
+_PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
 LOG_DECADES = 1.3  # smallest number of decades for a logarithmic frequency axis
 
 
@@ -184,11 +192,12 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 "the pressure near the surface differs",
                 stacklevel=2,
             )
-        widest = max(map(_baffled_radius, sources))
-        if keys.angle and widest and scene.analysis.type != "ac":
+        surfaces = [source.keys for source in sources]
+        if scene.analysis.type == "noise" and any(map(baffled_radius, surfaces)) and keys.angle:
+            null = format_quantity(first_null(surfaces, keys.angle), "Hz")
             warnings.warn(
-                f"{part.name}: the angle has an effect in an ac analysis only; sound above "
-                f"{format_quantity(first_null(sources, keys.angle), 'Hz')} is much weaker there",
+                f"{part.name}: the angle has no effect in a noise analysis; sound above {null} is "
+                "much weaker there",
                 stacklevel=2,
             )
 
@@ -237,7 +246,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         pressure = replace(
             build.across(part, OUT),
             level_reference=sources[0].keys.fluid.level_reference,
-            corrected=build.scene.analysis.type == "ac",
+            corrected=build.scene.analysis.type in ("ac", "transient"),
         )
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
@@ -248,21 +257,19 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def corrected_waves(
         self, part: Part[ListenerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the pressure of an ac analysis, including directivity and travel time."""
-        sources = self.radiations(part, build.scene)
-        names = [f"{source.name}.{SOUND}" for source in sources]
-        if "frequency" not in waves or not set(names) <= set(waves.data):
+        """Return the pressure with directivity and travel time, over frequency or time."""
+        sources, keys = self.radiations(part, build.scene), part.keys
+        scale = next(iter(waves))
+        propagate = _PROPAGATIONS.get(scale)
+        sounds = {f"{source.name}.{SOUND}": source.keys for source in sources}
+        if propagate is None or not sounds.keys() <= waves.data.keys():
             return {}
-        frequency, keys = waves["frequency"].real, part.keys
-        total = np.zeros(frequency.size, complex)
-        k = 2 * np.pi * frequency / sources[0].keys.fluid.sound_speed
-        for name, source in zip(names, sources, strict=True):
-            # a sphere radiates from its surface, the other shapes from their centre
-            start = source.keys.surface_radius if source.keys.shape == "sphere" else 0.0
-            travel = np.exp(-1j * k * (keys.distance - start))
-            total += waves[name] * travel * directivity(source.keys, keys.angle, frequency)
+        pressures = []
+        for name, surface in sounds.items():
+            sound, x = waves[name], waves.scale.real
+            pressures.append(propagate(surface, sound, x, keys.distance, keys.angle))
         share = REFERENCE_DISTANCE / keys.distance
-        return {f"{part.name}.{ACOUSTIC.across.symbol}": share * total}
+        return {f"{part.name}.{ACOUSTIC.across.symbol}": share * np.sum(pressures, axis=0)}
 
     def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
         """Return the levels [dB] of an ac analysis."""
@@ -318,17 +325,19 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         delay = format_quantity(float(f"{keys.distance / fluid.sound_speed:.3g}"), "s")
         yield (
             f"far field of {names} at {format_quantity(keys.distance, 'm')}, {keys.angle:g} "
-            f"degrees from the axis; transients do not contain the travel time of {delay}"
+            f"degrees from the axis, which the sound reaches after {delay}; the pin {OUT} has no "
+            "travel time"
         )
         if len(sources) > 1:
             yield Neglected(
                 "differences of the distance", "all sources have one distance", "not estimated"
             )
-        if keys.angle and any(map(_baffled_radius, sources)):
+        surfaces = [source.keys for source in sources]
+        if keys.angle and any(map(baffled_radius, surfaces)):
             yield Neglected(
-                "directivity in the netlist and in transients",
-                "the pin out has the pressure on the axis",
-                f"first null at {format_quantity(first_null(sources, keys.angle), 'Hz')}",
+                "directivity in the netlist",
+                f"the pin {OUT} has the pressure on the axis",
+                f"first null at {format_quantity(first_null(surfaces, keys.angle), 'Hz')}",
             )
         if any(source.keys.shape == "free_piston" for source in sources):
             why = "the pressure is the one on the axis"
@@ -349,29 +358,6 @@ def _write_sum(count: int) -> Iterator[Item]:
         end = OUT if k == count else f"sum{k}"
         yield Element.of(f"E{k}", end, base, pin, AMBIENT, gain)
         base = end
-
-
-def _baffled_radius(source: Part[RadiationKeys]) -> float:
-    """Return the radius [m] of a piston in a baffle, 0 for other shapes."""
-    return source.keys.surface_radius if source.keys.shape == "baffled_piston" else 0.0
-
-
-def first_null(sources: tuple[Part[RadiationKeys], ...], angle: float) -> float:
-    """Return the frequency [Hz] of the first null of the directivity, k a sin(angle) = 3.832."""
-    radius = max(map(_baffled_radius, sources))
-    speed = sources[0].keys.fluid.sound_speed
-    return float(f"{3.8317 * speed / (2 * math.pi * radius * math.sin(math.radians(angle))):.3g}")
-
-
-def directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
-    """Return the pressure at an angle [degrees] relative to the axis, 2 J1(x) / x."""
-    if keys.shape != "baffled_piston" or not angle:
-        return np.ones(frequency.size)
-    from scipy.special import j1  # loads slowly
-
-    k = 2 * np.pi * frequency / keys.fluid.sound_speed
-    x = np.maximum(k * keys.surface_radius * math.sin(math.radians(angle)), 1e-9)
-    return np.asarray(2 * j1(x) / x)
 
 
 register(Listener())

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from kc2spice.core import laws
@@ -15,6 +16,7 @@ from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, invalid_value_error, si
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Element, Item, positive_parameter
 from kc2spice.netlist.spelling import format_number, format_voltage
 from kc2spice.parts.acoustics._acoustic_part import (
@@ -37,6 +39,7 @@ from kc2spice.parts.acoustics._radiation_impedance import (
     Shape,
     list_elements,
 )
+from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, delay_wave, pass_delay
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene, Terminal
 from kc2spice.scene.parttype import register
@@ -82,6 +85,11 @@ class RadiationKeys(FluidKeys):
         if self.radius is not None:
             return self.radius
         return math.sqrt((self.area or 0.0) / self.radiator.area)
+
+    @property
+    def sound_corner(self) -> float:
+        """Corner frequency [rad/s] of the low pass of the pin ``sound``; a sphere has none."""
+        return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
     def largest_frequency(self) -> float:
@@ -167,14 +175,39 @@ stop = "20 kHz"
             yield "* plus that of pressure / impedance: twice the wave that arrives at the opening"
             gain = f"{{{ACOUSTIC.admittance:g}/impedance}}"
             yield Element.of("Gsound", AMBIENT, SOUND, FACE, AMBIENT, gain)
-        value = f"{{{format_number(SCALES[MASS] / angle)}*density}}"
-        yield Element.of("Lsound", SOUND, AMBIENT, value)
+        mass = format_number(SCALES[MASS] / angle)
+        yield Element.of("Lsound", SOUND, AMBIENT, f"{{{mass}*density}}")
+        largest = CORNER_RATIO * part.keys.radiator.network.largest_ka
+        corner = f"{largest:g}*rate"
+        yield f"* low pass above the range of the network, at k a = {largest:g}"
+        yield Element.of("Rsound", SOUND, AMBIENT, f"{{{mass}*density*{corner}/sqrt(2)}}")
+        yield Element.of("Csound", SOUND, AMBIENT, f"{{1/({mass}*density*{corner}*{corner})}}")
 
     def vectors(self, part: Part[RadiationKeys], build: Build) -> Mapping[str, Vector]:
         level = part.keys.fluid.level_reference
         ends = format_voltage(build.net(part, SOUND), build.net(part, AMBIENT))
-        sound = replace(build.across(part, SOUND), expression=ends, level_reference=level)
+        sound = replace(
+            build.across(part, SOUND),
+            expression=ends,
+            level_reference=level,
+            corrected=build.scene.analysis.type in ("ac", "transient"),
+        )
         return {**super().vectors(part, build), f"{part.name}.{SOUND}": sound}
+
+    def corrected_waves(
+        self, part: Part[RadiationKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, np.ndarray]:
+        """Return the pressure without the low pass of the netlist, or without its delay."""
+        name, corner = f"{part.name}.{SOUND}", part.keys.sound_corner
+        scale = next(iter(waves))
+        if name not in waves or math.isinf(corner):
+            return {}
+        x = waves.scale.real
+        if scale == "frequency":
+            return {name: waves[name] / laws.low_pass(2j * np.pi * x, corner)}
+        if scale != "time":
+            return {}
+        return {name: delay_wave(x, waves[name], [(1.0, -pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
         equations = super().law(part, build)
@@ -215,7 +248,8 @@ def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Re
         admittance = area / (fluid.density * fluid.sound_speed)
         terms += tuple((admittance * factor, wave) for factor, wave in pressure)
     mass = keys.fluid.density / (keys.radiator.solid_angle * REFERENCE_DISTANCE)
-    return laws.Reading(tuple((mass * factor, wave) for factor, wave in terms), rate=True)
+    rows = tuple((mass * factor, wave) for factor, wave in terms)
+    return laws.Reading(rows, rate=True, corner=keys.sound_corner)
 
 
 register(Radiation())

@@ -44,19 +44,28 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
     electrical = (voltage * np.conj(current)).real
     if "frequency" in waves:
         return np.asarray(radiated / electrical)
-    return _average_periods(waves["time"], radiated, electrical, scene.period)
+    delay = keys.distance / fluid.sound_speed
+    return _average_periods(waves["time"], radiated, electrical, scene.period, delay)
 
 
 def _average_periods(
-    time: np.ndarray, radiated: np.ndarray, electrical: np.ndarray, period: float | None
+    time: np.ndarray,
+    radiated: np.ndarray,
+    electrical: np.ndarray,
+    period: float | None,
+    delay: float,
 ) -> np.ndarray | None:
     """Return the ratio (1,) of two powers (n,) over the last whole periods.
 
+    The ``radiated`` power arrives ``delay`` [s] later than the electrical power that generates it.
     The result is None without a common period.
     """
-    count = 0 if not period else int(STEADY_SHARE * time[-1] / period)
-    if not period or not count:
+    count = 0 if not period else int(STEADY_SHARE * (time[-1] - delay) / period)
+    if not period or count < 1:
         return None
-    inside = time >= time[-1] - count * period
-    energies = [np.trapezoid(power[inside], time[inside]) for power in (radiated, electrical)]
+    energies = []
+    for power, late in ((radiated, 0.0), (electrical, delay)):
+        end = time[-1] - late
+        inside = (time >= end - count * period) & (time <= end)
+        energies.append(np.trapezoid(power[inside], time[inside]))
     return np.array([energies[0] / energies[1]])
