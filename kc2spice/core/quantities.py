@@ -529,7 +529,19 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the type of a number in ``unit``; a string may have another unit."""
+    """Return the type of a number in ``unit``; a string may have another unit.
+
+    Raises
+    ------
+    UsageError : ``unit`` is not a product or quotient of SI units.
+    """
+    if _parse_unit(unit) is None:
+        raise UsageError(
+            "this text is not a unit",
+            where="si",
+            got=repr(unit),
+            expected='products and quotients of SI units, such as "N s2/m2"',
+        )
     return BeforeValidator(partial(_parse_number, unit))
 
 

@@ -262,6 +262,8 @@ class Declaration:
     at the reference temperature. ``ideal_work`` states that the power of ``forces`` is work of an
     ideal source instead of heat. With ``losses_of_model``, a model that is built later determines
     the losses. ``heated`` states that there is a pin of heat, which :meth:`with_heat_pin` adds.
+    ``example`` contains the tables of a small scene in TOML, from which the list of part types
+    takes the pins. ``rating`` and ``sign`` are lines in the header of the library.
 
     These fields concern only the netlist:
 
@@ -317,6 +319,7 @@ class Declaration:
     velocities: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._check_branches()
         known = {*self.parameters, *self.variables, *self.signals}
         for what, tree in self._all_trees():
             if unknown := sorted(names(tree) - known):
@@ -331,6 +334,19 @@ class Declaration:
             earlier.add(name)
         self._check_content()
 
+    def _check_branches(self) -> None:
+        """Reject branches that are not a tuple, such as one branch without a comma."""
+        value: object = self.branches
+        if isinstance(value, tuple | list) and all(isinstance(b, Branch) for b in value):
+            return
+        raise UsageError(
+            "the branches are not a tuple of branches",
+            where=self.name,
+            got="one branch" if isinstance(value, Branch) else repr(value)[:80],
+            expected="a tuple such as (branch('angle'),)",
+            hint="write a comma after a single branch",
+        )
+
     def _coordinate_hint(self, unknown: Iterable[str]) -> str:
         """Hint about a quantity whose coordinate has another name; empty without such a
         coordinate."""
@@ -344,12 +360,14 @@ class Declaration:
         strange = sorted(names(tree) - allowed - set(self.parameters))
         if strange:
             words = ", ".join(strange)
+            rates = {b.rate for b in self.branches}
+            place = "coenergy" if what == "energy" and rates.issuperset(strange) else what
             raise UsageError(
                 f"the {what} must not depend on {words}",
                 where=self.name,
                 got=words,
                 expected=f"keys and {', '.join(sorted(allowed)) or 'numbers'}",
-                hint=_OTHER_PLACES.get(what, "").format(words) or None,
+                hint=_OTHER_PLACES.get(place, "").format(words) or None,
             )
 
     def _check_content(self) -> None:
@@ -770,7 +788,16 @@ class Declaration:
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
         """Return ``tree`` with all coordinates, rates and states set to zero, except ``but``."""
         still = self.variables - {but}
-        return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
+        try:
+            return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
+        except UsageError as error:
+            raise UsageError(
+                f"{error.message} at rest",
+                where=self.name,
+                got="a denominator that is zero if all coordinates and rates are zero",
+                expected="equations that are finite at rest",
+                hint="add a key to the denominator, such as gap in 1/(gap - x)",
+            ) from None
 
     @cached_property
     def linear(self) -> bool:

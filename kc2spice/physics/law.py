@@ -234,7 +234,17 @@ class DeclaredLaw(Device):
         return self._compile_declared(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
+        try:
+            return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
+        except (ZeroDivisionError, OverflowError, ValueError) as error:
+            inputs = zip(self._inputs, e.tolist(), strict=True)
+            raise SimulationError(
+                f"the equations of the part have no value: {error}",
+                where=self.name,
+                got=", ".join(f"{name} = {value:g}" for name, value in inputs),
+                expected="denominators, roots and logarithms of positive expressions",
+                hint="state in the declaration's limits where its expressions are valid",
+            ) from None
 
     def _values_and_slopes(
         self, compiled: _Compiled, e: np.ndarray, mode: Any

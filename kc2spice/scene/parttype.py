@@ -21,6 +21,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
+from kc2spice.netlist.spelling import require_name
 from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.rows import Vector
 
@@ -103,7 +104,7 @@ def register(part_type: PartType) -> PartType:
 
     Raises
     ------
-    UsageError : the type has no name or no schema.
+    UsageError : the type has no schema, or no name that netlists can contain.
 
     Examples
     --------
@@ -126,15 +127,15 @@ def register(part_type: PartType) -> PartType:
     0.1000 N
     """
     name = getattr(part_type, "name", "")
-    if not name or not hasattr(part_type, "schema"):
+    if not isinstance(part_type, PartType) or not name or not hasattr(part_type, "schema"):
         raise UsageError(
             "this object is not a part type",
             where="register_part",
             got=repr(part_type)[:120],
             expected="an instance of a part type with a name and a schema",
-            hint="write a declaration as in docs/how-to/own_part.md",
+            hint="register DeclaredPart(declaration) as in docs/how-to/own_part.md",
         )
-    _types[name] = part_type
+    _types[require_name(name, where="register_part")] = part_type
     return part_type
 
 

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 from pydantic import TypeAdapter
-from support import COORDINATES, Declaration, branch, displacement, quantities
+from support import (
+    COORDINATES,
+    Declaration,
+    DeclaredPart,
+    branch,
+    displacement,
+    parttype,
+    quantities,
+)
 
 import kc2spice as kc
 
@@ -46,6 +54,62 @@ def test_a_mistake_in_a_declaration_names_its_remedy(name):
     assert remedy in caught.value.hint
 
 
+def test_energy_of_a_velocity_belongs_to_a_mass():
+    with pytest.raises(kc.errors.UsageError, match="must not depend on x_rate") as caught:
+        Declaration("part", "a part", Keys, MOTION, energy="g*x_rate^2")
+    assert "mass in kinetic" in caught.value.hint
+
+
+@pytest.mark.parametrize("branches", [branch("angle"), ("angle",), "x", [MOTION], None])
+def test_branches_that_are_no_tuple_are_an_error(branches):
+    with pytest.raises(kc.errors.UsageError, match="not a tuple of branches") as caught:
+        Declaration("part", "a part", Keys, branches, content="g")
+    assert "comma" in caught.value.hint
+
+
+@pytest.mark.parametrize("name", ["my part", "my-part", "9part", "part.a", "x" * 65])
+def test_a_part_type_has_a_name_that_netlists_can_contain(name):
+    declaration = Declaration(name, "a part", Keys, MOTION, content="g*x_rate^2")
+    with pytest.raises(kc.errors.UsageError, match="not a valid name") as caught:
+        kc.register_part(DeclaredPart(declaration))
+    assert caught.value.got == repr(name)
+
+
+def test_only_an_instance_of_a_part_type_is_registered():
+    declaration = Declaration("part", "a part", Keys, MOTION, content="g*x_rate^2")
+    for value in (declaration, DeclaredPart, 3):
+        with pytest.raises(kc.errors.UsageError, match="not a part type") as caught:
+            kc.register_part(value)
+        assert "DeclaredPart(declaration)" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("fields", "error", "problem", "got"),
+    [
+        ({"energy": "g*ln(x)"}, "UsageError", "division by zero at rest", "a denominator"),
+        ({"content": "g*x_rate^2/x"}, "SimulationError", "no value: float division",
+         "x = 0, x_rate = 0"),
+    ],
+)  # fmt: skip
+def test_equations_without_a_value_at_rest_are_an_error(fields, error, problem, got, monkeypatch):
+    declaration = Declaration("singular", "a part", Keys, MOTION, **fields)
+    monkeypatch.setitem(parttype._types, "singular", DeclaredPart(declaration))
+    with pytest.raises(getattr(kc.errors, error), match=problem) as caught:
+        kc.verify({
+            "name": "pulled",
+            "part": {"part": "singular", "g": 1.0, "pins": {"a": "spring.a"}},
+            "spring": {"part": "spring", "stiffness": 1.0},
+            "analysis": {"type": "op"},
+        })  # fmt: skip
+    assert caught.value.got.startswith(got)
+
+
+@pytest.mark.parametrize("unit", ["banana", "N/", "kg^-1", "N s**2"])
+def test_a_text_that_is_no_unit_is_an_error_of_the_declaration(unit):
+    with pytest.raises(kc.errors.UsageError, match="not a unit"):
+        quantities.si(unit)
+
+
 def test_a_negative_power_is_a_quotient():
     declaration = Declaration("part", "a part", Keys, HEAT, content="g*temperature^(-2)")
     slope = declaration.direct_flow(HEAT[0])
@@ -57,8 +121,7 @@ def test_a_negative_power_is_a_quotient():
 def test_an_unknown_part_type_states_how_to_add_types():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene({"name": "s", "c": {"part": "zzz"}})
-    assert "register_part" in caught.value.hint
-    assert "kc2spice.parts" in caught.value.hint
+    assert "docs/how-to/own_part.md" in caught.value.hint
 
 
 def test_the_page_lists_every_coordinate_with_its_names():
