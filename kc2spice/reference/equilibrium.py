@@ -132,7 +132,7 @@ class Interval:
         return z
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Tangent(Device):
     """Tangent of a law at the inputs ``point``."""
 
@@ -160,7 +160,7 @@ class _Tangent(Device):
         return stored + slope @ (e - self.point), slope
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tangents:
     """Tangents of the laws that limit the steps of Newton's method.
 
