@@ -522,6 +522,7 @@ class Result:
         return "\n".join([head + ">", *lines])
 
     def _repr_html_(self) -> str:
+        """Return the table of a notebook in HTML."""
         rows = zip(self.metrics, map(_summarize, self.metrics.values()), strict=True)
         table = _format_html_table(("metric", "value"), rows)
         return f"<p>{escape(repr(self).splitlines()[0])}</p>{table}"
@@ -617,6 +618,7 @@ class Table(tuple[dict[str, Any], ...]):
         return "\n".join(map("  ".join, lines))
 
     def _repr_html_(self) -> str:
+        """Return the table of a notebook in HTML."""
         return _format_html_table(self.columns, self._cells())
 
 

@@ -60,7 +60,7 @@ class FaceMotion:
         return np.asarray(self.areas @ self.normal)
 
     @property
-    def piston_shares(self) -> np.ndarray:
+    def piston_ratios(self) -> np.ndarray:
         """Return ratios (motions,) of the mean to the rms normal velocity; 1 for a piston."""
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))

@@ -45,7 +45,7 @@ class Caller:
         return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
 
     def expects_text(self, record: Any, out: Path | None = None) -> bool:
-        """Print the JSON ``record`` for a program and return False; return True for a person."""
+        """Return whether a person reads the output; otherwise print the JSON ``record``."""
         if self.as_json:
             more = {} if out is None else {"directory": str(out.absolute())}
             print(json.dumps({**record, **more} if more else record))

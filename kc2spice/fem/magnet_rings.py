@@ -282,7 +282,7 @@ class Ladder(EqualByContent):
     with magnets (c + 1, k, degree + 1), are polynomials of ``2 (y - low) / (high - low) - 1``,
     lowest power first. ``error`` is the largest change of the coils' flux and of the force by more
     loops, up to ``frequency`` [Hz], relative to the largest. ``rings`` is the number of rings of
-    the body, and ``rough`` the error of flux, force and loss that the rings are estimated to
+    the body, and ``ring_error`` the error of flux, force and loss that the rings are estimated to
     cause.
     """
 
@@ -294,7 +294,7 @@ class Ladder(EqualByContent):
     error: float
     rings: int
     frequency: float = 0.0
-    rough: float = 0.0
+    ring_error: float = 0.0
 
     @property
     def facts(self) -> dict[str, float]:
@@ -302,7 +302,7 @@ class Ladder(EqualByContent):
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
-        return known | {f"{MESH_ERROR_PREFIX}rings": self.rough, "loop_error": self.error}
+        return known | {f"{MESH_ERROR_PREFIX}rings": self.ring_error, "loop_error": self.error}
 
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
         """Compute the effect of the body's currents on coils and force at ``heights`` [m]."""

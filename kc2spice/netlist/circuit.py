@@ -132,7 +132,7 @@ class Element(Card):
 
     @cached_property
     def law(self) -> Tree:
-        """Expression of a behavioural source as a tree.
+        """Expression tree of the law of a behavioural source.
 
         Raises
         ------

@@ -279,7 +279,7 @@ class Deck:
         """Return the text of the main file."""
         if self.text is not None and not self.options and not self.refinements:
             return self.text
-        return Printer().file(self.circuit)
+        return Printer().format_file(self.circuit)
 
     @property
     def _usage_comment(self) -> tuple[str, ...]:
@@ -416,7 +416,7 @@ class Deck:
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
         """Return the deck with another tree of its main file."""
-        return replace(self, tree=tree, text=Printer().file(tree), **changes)
+        return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
         """Return the deck with changed options."""

@@ -126,7 +126,7 @@ class Subcircuit:
     @cached_property
     def text(self) -> str:
         """Text of the library file in the syntax of ngspice."""
-        return self.source or Printer().file(self.circuit)
+        return self.source or Printer().format_file(self.circuit)
 
     @cached_property
     def located_tree(self) -> Circuit:

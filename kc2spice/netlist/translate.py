@@ -34,7 +34,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
     trees = {**deck.located_trees, deck.main: main}
     if deck.text is None:
         trees[deck.main] = locate_cards(main, deck.main)
-    files = {name: printer.file(tree) for name, tree in trees.items()}
+    files = {name: printer.format_file(tree) for name, tree in trees.items()}
     vectors = {}
     for key, (expression, factor) in deck.vectors.items():
         signed = [(sign, printer.vector(item)) for sign, item in split_terms(expression)]
@@ -99,7 +99,7 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             symbols = printer.symbols(part, library)
             if symbols and dialect == NGSPICE:
                 try:
-                    symbols = {**symbols, library: printer.file(part.located_tree)}
+                    symbols = {**symbols, library: printer.format_file(part.located_tree)}
                 except UsageError:  # a card that the other simulator lacks
                     symbols = {}
             files |= symbols

@@ -61,6 +61,7 @@ class DeclaredLaw(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
+        """Return the pins in the order of the subcircuit."""
         result: dict[str, LawPin] = {}
         kinds = self._pin_kinds
         for b in self.declaration.branches:

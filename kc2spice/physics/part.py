@@ -111,9 +111,11 @@ class DeclaredPart(PartType[KeysT]):
         return declaration.with_heat_pin(coefficient, reference)
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from refuse_conductor_keys(part, scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         d, result = self.resolved_declaration(part, scene), []
         plus = {b.plus for b in d.branches}
         for p in make_pins(d):
@@ -147,6 +149,7 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
@@ -158,6 +161,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         result, d = {}, self.resolved_built_declaration(part, build)
         for b in d.branches:
             if b.plus and {_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
@@ -178,6 +182,7 @@ class DeclaredPart(PartType[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, d = part.name, self.resolved_built_declaration(part, build)
         results = {}
         for b in d.open_branches:  # a full model has other loops
@@ -249,6 +254,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- notes of explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield "; ".join(self.resolved_declaration(part, scene).equations)
         yield from self.neglected(part, scene)
 

@@ -305,11 +305,13 @@ class Samples:
             )
 
         def residual(logs: np.ndarray) -> np.ndarray:
+            """Return the weighted residuals of the fit."""
             tried = unpack(logs)
             excess = conductance(tried) - (self.conductance or 0.0)
             return self._stack_rows(self.misfit(tried), excess)
 
         def slopes(logs: np.ndarray) -> np.ndarray:
+            """Return the derivatives of the residuals."""
             tried = unpack(logs)
             result = []
             for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):

@@ -463,6 +463,7 @@ class LinearModel:
         return text
 
     def _repr_html_(self) -> str:
+        """Return the table of a notebook in HTML."""
         from html import escape
 
         rows = "".join(

@@ -315,9 +315,11 @@ def refine_poles(
         return Q, coefficients / size[:, None], target - columns @ coefficients
 
     def residual(x: np.ndarray) -> np.ndarray:
+        """Return the weighted residuals of the fit."""
         return project(x)[2].ravel()
 
     def slopes(x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals."""
         Q, coefficients, _ = project(x)
         result = []
         for change in _pole_derivatives(s, unpack(x), real, coefficients):

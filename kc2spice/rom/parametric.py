@@ -114,7 +114,7 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
 
 
 @dataclass(frozen=True)
-class Loss:
+class DampingParameter:
     """Parameter that scales only the Rayleigh damping: its powers multiply alpha and beta."""
 
     axis: ParameterAxis
@@ -131,7 +131,7 @@ class ParameterPolynomials:
     """
 
     axes: tuple[ParameterAxis, ...]
-    losses: tuple[Loss, ...]
+    losses: tuple[DampingParameter, ...]
     exponents: np.ndarray
 
     @property
@@ -213,7 +213,7 @@ def reduce_over_parameters(
 
     middle = {axis.name: axis.middle for axis in axes}
     frame = _require_symmetric(model_at(middle), None)
-    losses = list[Loss]()
+    losses = list[DampingParameter]()
     for axis in axes:
         if loss := _identify_loss(model_at, axis, middle, frame):
             losses.append(loss)
@@ -355,7 +355,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
-) -> Loss | None:
+) -> DampingParameter | None:
     """Return the parameter as a factor of the damping; None if it changes more than the damping."""
     if frame.rayleigh is None:
         return None
@@ -379,7 +379,7 @@ def _identify_loss(
         if np.ptp(power) > 1e-6:
             return None
         powers.append(float(np.round(power.mean(), 6)))
-    return Loss(axis, *powers) if any(powers) else None
+    return DampingParameter(axis, *powers) if any(powers) else None
 
 
 def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:

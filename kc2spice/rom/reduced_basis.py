@@ -258,7 +258,7 @@ class ReducedBasis:
         return order * self.pencil.degree
 
     @property
-    def relaxing(self) -> bool:
+    def has_only_real_poles(self) -> bool:
         """Whether the model is symmetric and of first order, as a network of R and C.
 
         A congruence then preserves real poles and passivity.

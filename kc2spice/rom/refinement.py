@@ -40,7 +40,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
     """
     if basis.task.norm != "peak":
         return basis, order
-    if basis.relaxing:
+    if basis.has_only_real_poles:
         return fit_relaxations(basis, order, tolerance)
     if not basis.congruence and order <= MAX_ORDER:
         return fit_output_matrix(basis, order, tolerance)

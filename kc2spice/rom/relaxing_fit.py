@@ -72,9 +72,11 @@ def fit_minimax(
     best = x, np.inf
 
     def residuals(x: np.ndarray) -> np.ndarray:
+        """Return the weighted residuals of the fit."""
         return _stack_parts(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
 
     def slopes(x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals."""
         return _stack_parts(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
 
     for k in range(MAX_ROUNDS):

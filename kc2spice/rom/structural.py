@@ -82,7 +82,7 @@ def approximate_causally(
     for rates in RELAXATION_RATES:
         if error <= tolerance:
             break
-        trial = search.relaxing(rates, tolerance)
+        trial = search.with_relaxations(rates, tolerance)
         fewer = search.error(trial)
         if fewer < MAX_ERROR_RATIO * error:
             modes, error = trial, fewer
@@ -212,7 +212,9 @@ class _Search:
             B=np.pad(self.B, ((0, more), (0, 0))), C=np.pad(self.C, ((0, 0), (0, more))),
         )  # fmt: skip
 
-    def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
+    def with_relaxations(
+        self, relative_rates: Sequence[float], tolerance: float
+    ) -> list[Oscillator]:
         """Return modes with relaxations for modes whose error falls considerably."""
         frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency

@@ -210,10 +210,12 @@ def _refine(
         return R, t, float(x[-1]) if samples.offset else 0.0
 
     def residual(x: np.ndarray) -> np.ndarray:
+        """Return the weighted residuals of the fit."""
         R, t, start = split(x)
         return samples.group((start + step_basis(time, t) @ R - samples.value)[:, None])[:, 0]
 
     def slopes(x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals."""
         R, t, _ = split(x)
         ratio = time[:, None] / t
         # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)

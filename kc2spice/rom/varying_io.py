@@ -12,7 +12,7 @@ import numpy as np
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.heat_ranges_io import read_heat_over_ranges, write_heat_over_ranges
 from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
-from kc2spice.rom.parametric import Loss
+from kc2spice.rom.parametric import DampingParameter
 from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
 from kc2spice.rom.varying import Varying
@@ -80,7 +80,7 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
 
     common = parse_ranges(record)
     ports, axes = common["ports"], common["axes"]
-    losses = TypeAdapter(tuple[Loss, ...]).validate_python(record["losses"])
+    losses = TypeAdapter(tuple[DampingParameter, ...]).validate_python(record["losses"])
     blocks = TypeAdapter(tuple[int, ...]).validate_python(record["blocks"])
     terms, states = np.shape(arrays["diagonal"])
     electrical = sum(port.electrical for port in ports)

@@ -164,7 +164,7 @@ def test_a_conductor_states_its_rings():
     body = moving_conductor._divide_body(keys, 1600, found.frequency)
     coils = moving_conductor.windings(keys)
     true = compare_rings(body, found, coils, fixed, keys.conductivity)
-    assert 0.5 < found.rough / true < 2
+    assert 0.5 < found.ring_error / true < 2
 
 
 def test_a_magnet_states_that_it_has_no_mesh():

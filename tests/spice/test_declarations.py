@@ -329,7 +329,7 @@ def worst_cards(kind, dialect):
     if dialect == "verilog-a":
         (text,) = print_module(part).values()
     elif dialect != "ngspice":
-        text = find_dialect(dialect)().file(part.circuit)
+        text = find_dialect(dialect)().format_file(part.circuit)
     values = {p.name: p.default for p in part.params}
     if normal.radius:  # the network has no lags
         normal = replace(normal, pace=0.0)

@@ -180,7 +180,7 @@ def test_every_law_of_a_contact_is_in_the_grammar(dialect):
     card = grammar(dialect)
     for law in LAWS.values():
         part = pressing(law)
-        text = find_dialect(dialect)().file(part.circuit)
+        text = find_dialect(dialect)().format_file(part.circuit)
         assert len(cards(text)) == len(cards(part.text))
         for line in cards(text):
             card.parse_string(line)

@@ -22,7 +22,7 @@ def test_a_long_card_reads_back_as_the_same(card):
     assert max(map(len, lines)) <= 100
     assert all(line.startswith("+ ") for line in lines[1:])
     texts = ("\n".join(text) + "\n" for text in (lines, [card]))
-    one, whole = (Printer().file(read_cards(text, "cards.lib")) for text in texts)
+    one, whole = (Printer().format_file(read_cards(text, "cards.lib")) for text in texts)
     assert one == whole
 
 
@@ -54,7 +54,7 @@ def test_a_library_with_long_comments_reads_back_with_its_title_and_parameters()
 R1 a b {{size}}
 .ends part
 """
-    printed = Printer().file(read_cards(text, "part.lib"))
+    printed = Printer().format_file(read_cards(text, "part.lib"))
     assert max(map(len, printed.splitlines())) <= 100
     (part,) = parse_subcircuits(printed, "part.lib")
     assert part.title == f"part: {words.strip()}"

@@ -72,9 +72,9 @@ def laws(circuit):
 def test_printing_a_library_again_gives_the_same_text(path):
     text = path.read_text()
     tree = read_cards(text, path.name)
-    printed = Printer().file(tree)
+    printed = Printer().format_file(tree)
     again = read_cards(printed, path.name)
     assert list(laws(tree)) == list(laws(again))
-    assert Printer().file(again) == printed
+    assert Printer().format_file(again) == printed
     assert tokens(printed) == tokens(text)
     assert printed == text or path not in OURS

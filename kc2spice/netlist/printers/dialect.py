@@ -127,10 +127,10 @@ class Dialect(Printer, ABC):
 
     # -- cards ------------------------------------------------------------------------------
 
-    def file(self, circuit: Circuit) -> str:
+    def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file."""
         self.defined = {item.name.lower() for item in items_of(circuit.items, Function)}
-        return super().file(circuit)
+        return super().format_file(circuit)
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
         """Yield the cards, merged where the simulator needs one card per command."""

@@ -37,7 +37,7 @@ class Printer(Writer):
     def __init__(self) -> None:
         self.where = "netlist"
 
-    def file(self, circuit: Circuit) -> str:
+    def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file."""
         lines = [*self.lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"

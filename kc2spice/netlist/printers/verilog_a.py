@@ -460,7 +460,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
         if item.model.lower() in stems:
             models.append(Model(f"m{item.key}", item.model, item.parameters))
     tree = replace(tree, items=(control, *models, replace(items[0], notes=()), *items[1:]))
-    files = {main: Printer().file(tree)}
+    files = {main: Printer().format_file(tree)}
     return files | {n: text for n, text in deck.files.items() if n not in {deck.main, *replaced}}
 
 

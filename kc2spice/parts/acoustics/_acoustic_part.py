@@ -132,6 +132,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- pins and netlist -------------------------------------------------------------------------
 
     def pins(self, part: Part[FluidKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         ends = (replace(Terminal.of(end, ACOUSTIC), required=True) for end in self.ends(part))
         joined = scene.is_target(part.name, AMBIENT)
         ambient = Terminal.of(AMBIENT, ACOUSTIC, None if joined else GROUND)
@@ -144,6 +145,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def subcircuits(
         self, part: Part[FluidKeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
 
         network, name = self.network(part, build.scene), build.libraries[part.name]
@@ -179,6 +181,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[FluidKeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         n, first = part.name, self.ends(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
         across = format_voltage(build.net(part, first), build.net(part, AMBIENT)) or "v(0)"
@@ -191,6 +194,7 @@ class AcousticPart(PartType[FluidKeysT]):
         return result
 
     def law(self, part: Part[FluidKeysT], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
         for item in network.elements:

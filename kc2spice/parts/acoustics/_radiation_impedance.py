@@ -40,7 +40,7 @@ class Radiator:
     solid_angle: float
 
     @property
-    def errors(self) -> str:
+    def error_text(self) -> str:
         """Largest ka and errors of the network in words."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"

@@ -115,6 +115,7 @@ stop = "2 kHz"
         return (("a", AMBIENT),)
 
     def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         least = SPHERE_SURFACE * keys.volume ** (2 / 3)
@@ -166,6 +167,7 @@ stop = "2 kHz"
         return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
 
     def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, walls = part.keys, self._relaxations(part, scene)
         limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
         yield (

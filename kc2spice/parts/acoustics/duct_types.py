@@ -162,6 +162,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         result = []
         for pin in super().pins(part, scene):
             if pin.name == FAR_END and not scene.is_target(part.name, FAR_END):
@@ -170,6 +171,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return tuple(result)
 
     def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys, fluid = part.keys, part.keys.fluid
         high = acoustic_band(scene).high
@@ -265,6 +267,7 @@ class DuctPart(AcousticPart[DuctKeys]):
             yield Element.of(FAR_METER, "out", FAR_END, "0")
 
     def vectors(self, part: Part[DuctKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         n, flow = part.name, ACOUSTIC.through_variable
         near = f"{n}.{flow.symbol}"
         result = dict(super().vectors(part, build))
@@ -290,6 +293,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return laws.Equations((law,), joins, results)
 
     def notes(self, part: Part[DuctKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, fluid = part.keys, part.keys.fluid
         area = math.pi * keys.inner_radius**2
         mass = fluid.density * keys.length / area
@@ -357,6 +361,8 @@ def _list_shunt(
 
 
 class Vent(DuctPart):
+    """Part type ``vent``: short duct with end corrections and losses."""
+
     name, title = "vent", "short duct with end corrections and losses"
     schema = VentKeys
     example = """
@@ -384,6 +390,8 @@ stop = "3 kHz"
 
 
 class Tube(DuctPart):
+    """Part type ``tube``: long duct of many sections with losses."""
+
     name, title = "tube", "long duct of many sections with losses"
     schema = TubeKeys
     example = """
@@ -406,6 +414,7 @@ stop = "3 kHz"
 """
 
     def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys = part.with_schema(TubeKeys).keys
         if keys.closed and FAR_END in part.pins:

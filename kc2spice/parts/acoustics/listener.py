@@ -113,7 +113,7 @@ stop = "20 kHz"
 level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 """
 
-    def radiations(
+    def radiating_surfaces(
         self, part: Part[ListenerKeys], scene: DeclaredScene
     ) -> tuple[Part[RadiationKeys], ...]:
         """Return the radiating surfaces whose sound reaches the listener."""
@@ -125,19 +125,21 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- scene ------------------------------------------------------------------------------------
 
     def pins(self, part: Part[ListenerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         unit = ACOUSTIC.across.pin_unit
-        count = len(self.radiations(part, scene))
+        count = len(self.radiating_surfaces(part, scene))
         inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _input_names(count))
         out = Terminal(OUT, unit, SIGNAL, signal_out=True)
         return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Join each input to the sound pin of a radiating surface."""
-        sources = self.radiations(part, scene)
+        sources = self.radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_input_names(len(sources)), targets, strict=True))
 
     def problems(self, part: Part[ListenerKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         known = [item.name for item in scene.of(RADIATION)]
         for k, name in enumerate(part.keys.sources):
             if name not in known:
@@ -146,7 +148,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             elif name in part.keys.sources[:k]:
                 message = "the listener hears this source twice"
                 yield part.wrong(f"sources.{k}", message, name, "each name once")
-        sources = self.radiations(part, scene)
+        sources = self.radiating_surfaces(part, scene)
         if not sources:
             yield part.wrong(
                 "sources",
@@ -216,9 +218,10 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def subcircuits(
         self, part: Part[ListenerKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
 
-        name, sources = build.libraries[part.name], self.radiations(part, build.scene)
+        name, sources = build.libraries[part.name], self.radiating_surfaces(part, build.scene)
         pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
         params = (
             positive_parameter("distance", part.keys.distance, "m", "distance of the listener"),
@@ -242,7 +245,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[ListenerKeys], build: Build) -> Mapping[str, Vector]:
-        sources = self.radiations(part, build.scene)
+        """Return the results of the part, keyed by name."""
+        sources = self.radiating_surfaces(part, build.scene)
         pressure = replace(
             build.across(part, OUT),
             level_reference=sources[0].keys.fluid.level_reference,
@@ -258,7 +262,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         self, part: Part[ListenerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
         """Return the pressure with directivity and travel time, over frequency or time."""
-        sources, keys = self.radiations(part, build.scene), part.keys
+        sources, keys = self.radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)
         sounds = {f"{source.name}.{SOUND}": source.keys for source in sources}
@@ -273,13 +277,14 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
     def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
         """Return the levels [dB] of an ac analysis."""
-        fluid = self.radiations(part, build.scene)[0].keys.fluid
+        fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
         pressure = np.abs(waves[f"{part.name}.{ACOUSTIC.across.symbol}"])
         return compute_level(pressure / math.sqrt(2.0), fluid.level_reference)
 
     def metrics(
         self, part: Part[ListenerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         if build.scene.analysis.type != "ac":
             return {}
         frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
@@ -297,12 +302,13 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
     def figures(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
         axis, factor = scale_axis("frequency", frequency)
         log = frequency[0] > 0 and math.log10(frequency[-1] / frequency[0]) > LOG_DECADES
-        fluid = self.radiations(part, build.scene)[0].keys.fluid
+        fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
         scale = SoundLevel(fluid.level_reference)
         curve = Curve("", factor * frequency, levels)
         panel = Panel(axis, format_axis_label("level", scale.unit), (curve,), log_x=log)
@@ -319,7 +325,8 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         yield Figure(f"{part.name}_level", title, caption, (panel,))
 
     def notes(self, part: Part[ListenerKeys], scene: Scene) -> Iterator[str | Neglected]:
-        keys, sources = part.keys, self.radiations(part, scene)
+        """Yield the assumptions of the model and the effects that it neglects."""
+        keys, sources = part.keys, self.radiating_surfaces(part, scene)
         names = ", ".join(source.name for source in sources)
         fluid = sources[0].keys.fluid
         delay = format_quantity(float(f"{keys.distance / fluid.sound_speed:.3g}"), "s")

@@ -98,6 +98,8 @@ class RadiationKeys(FluidKeys):
 
 
 class Radiation(AcousticPart[RadiationKeys]):
+    """Part type ``radiation``: radiation impedance of a piston or a pulsating sphere."""
+
     name, title = "radiation", "radiation impedance of a piston or a pulsating sphere"
     schema = RadiationKeys
     example = """
@@ -125,10 +127,12 @@ stop = "20 kHz"
         return ((FACE, AMBIENT),)
 
     def pins(self, part: Part[RadiationKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         unit = ACOUSTIC.across.pin_unit
         return (*super().pins(part, scene), Terminal(SOUND, unit, SIGNAL, signal_out=True))
 
     def problems(self, part: Part[RadiationKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         if not scene.analysis.small:
             return
@@ -155,7 +159,7 @@ stop = "20 kHz"
             params,
             {"impedance": f"density*sound_speed/({area})", "rate": "sound_speed/radius"},
             tuple(list_elements(keys.radiator.network, "in", AMBIENT)),
-            f"{keys.radiator.words}, {keys.radiator.errors}; small amplitudes, fluid at rest",
+            f"{keys.radiator.words}, {keys.radiator.error_text}; small amplitudes, fluid at rest",
         )
 
     def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
@@ -184,6 +188,7 @@ stop = "20 kHz"
         yield Element.of("Csound", SOUND, AMBIENT, f"{{1/({mass}*density*{corner}*{corner})}}")
 
     def vectors(self, part: Part[RadiationKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         level = part.keys.fluid.level_reference
         ends = format_voltage(build.net(part, SOUND), build.net(part, AMBIENT))
         sound = replace(
@@ -210,17 +215,19 @@ stop = "20 kHz"
         return {name: delay_wave(x, waves[name], [(1.0, -pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         equations = super().law(part, build)
         sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})
 
     def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, radiator = part.keys, part.keys.radiator
         limit = keys.largest_frequency
         upper = "" if math.isinf(limit) else f" ({format_quantity(limit, 'Hz')})"
         yield (
             f"{radiator.words}, radius {format_quantity(keys.surface_radius, 'm')}, "
-            f"{keys.fluid.words}: {radiator.errors}{upper}"
+            f"{keys.fluid.words}: {radiator.error_text}{upper}"
         )
         yield Neglected("reflections", "the sound leaves into a free field", "not estimated")
         if keys.shape != "sphere":

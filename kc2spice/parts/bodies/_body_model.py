@@ -35,7 +35,7 @@ from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.parametric import DampingParameter, ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.model import GovernedScene, Part, Scene
@@ -70,7 +70,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     """
 
     # classes of the reduced model over ranges of parameters, which the cache stores
-    range_classes: tuple[type, ...] = (Varying, Loss)
+    range_classes: tuple[type, ...] = (Varying, DampingParameter)
     ranges_from_zero = False  # whether the ranges of its parameters may begin at zero
     # class of the materials in the keys of the part
     material_table: type[BaseModel] = MaterialTable
@@ -92,6 +92,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from check_dimensions(part.name, part.keys)
         yield from check_corners(part, scene)
 
@@ -181,6 +182,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> ModelOverRanges:
+            """Return the model of the part."""
+
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
@@ -225,6 +228,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
+        """Return the model of the part."""
         if full:
             # the matrices of a full model cannot have some losses
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
@@ -236,6 +240,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
+            """Return the model of the part."""
             from kc2spice.rom.complex_constants import complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless

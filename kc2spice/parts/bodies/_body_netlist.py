@@ -62,6 +62,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def subcircuits(
         self, part: Part[LinearKeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         name = build.libraries[part.name]
         volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED
@@ -88,6 +89,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         )
 
     def vectors(self, part: Part[LinearKeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         result: dict[str, Vector] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:
@@ -111,6 +113,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return result
 
     def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | None:
+        """Return the equations of the part."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference(part, build.scene).name

@@ -40,7 +40,7 @@ class FaceLevels:
     Attributes
     ----------
     resonance : frequency [Hz] of this resonance.
-    piston_share : ratio of mean to rms velocity.
+    piston_ratio : ratio of mean to rms velocity.
     peak : ratio of the largest to the mean displacement.
     power : radiated power relative to that of a piston with the same volume velocity; ``worst``
         is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz].
@@ -51,7 +51,7 @@ class FaceLevels:
     """
 
     resonance: float
-    piston_share: float
+    piston_ratio: float
     peak: float
     power: float
     worst: float
@@ -145,7 +145,7 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
         detuned = float((sides - levels[main]).min())
     return FaceLevels(
         float(hertz[main]),
-        float(motion.piston_shares[main]),
+        float(motion.piston_ratios[main]),
         float(motion.peak_ratios[main]),
         float(power[main]),
         float(power[worst]),
@@ -165,12 +165,12 @@ def level_near(face: FaceOfBody, resonance: float) -> float:
 
 def describe_piston_difference(name: str, radiation: str, levels: FaceLevels) -> str:
     """Return the warning that a face does not move like a piston; empty if it does."""
-    if levels.piston_share >= MIN_PISTON_SHARE and abs(levels.worst) <= PISTON_TOLERANCE:
+    if levels.piston_ratio >= MIN_PISTON_SHARE and abs(levels.worst) <= PISTON_TOLERANCE:
         return ""
     worst, sign = abs(levels.worst), "less" if levels.worst < 0 else "more"
     return (
         f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
-        f"velocity is {levels.piston_share:.2g} of that of a piston with its rms velocity. It "
+        f"velocity is {levels.piston_ratio:.2g} of that of a piston with its rms velocity. It "
         f"radiates {worst:.1f} dB {sign} power than {radiation} at "
         f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis"
     )

@@ -54,6 +54,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def metrics(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         z = measured_impedance(part, waves)
         if z is None:
             return {}
@@ -147,6 +148,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def figures(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
+        """Yield the figures of the report."""
         yield from _pictures.plot_port_waves(part.name, waves)
         z = measured_impedance(part, waves)
         if z is not None:
@@ -161,6 +163,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         yield from _pictures.plot_port_impedances(part.name, model, resonators(model))
 
     def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         rom = reduction_target(part, scene)
         used = self.used_ports(part, scene)
         ports = ", ".join(names_of(used))

@@ -130,12 +130,14 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             return self.device(part, scene).model
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         yield from find_field_problems(part, scene, shapes=True)
 
     def metrics(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         result = dict(super().metrics(part, build, waves))
         recovered = self.recovered(part, build, waves)
         if recovered is None:
@@ -151,6 +153,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def checks(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
+        """Yield the checks of a run."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
         recovered = self.recovered(part, build, waves)
@@ -164,6 +167,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
+        """Yield the figures of the report."""
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import compute_lowest_modes
@@ -292,6 +296,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return {**key, "faces": faces} if faces else key
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         return self.sounding(part, scene).every_port
 
     def directions(
@@ -315,6 +320,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return body.device().model
 
     def rated_by_material(self, part: Part[FieldKeysT]) -> float | None:
+        """Return the voltage limit of the material [V]."""
         return self.bonded(part).rated
 
     def dimensions(self, part: Part[FieldKeysT]) -> int:
@@ -330,6 +336,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
 
     def indentation_modulus(self, part: Part[FieldKeysT]) -> float | None:
+        """Return the modulus of the half-space under the contact [Pa]."""
         top = self.bonded(part).blocks[-1].material
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 

@@ -53,7 +53,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         """
         return None
 
-    def radiations(
+    def radiating_surfaces(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> dict[str, tuple[str, RadiationKeys]]:
         """Return name and keys of the radiation of each face, by the name of its port."""
@@ -69,13 +69,13 @@ class SoundingBody(LinearBody[FieldKeysT]):
 
     def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
         """Return the pins of faces that radiate into a gas."""
-        radiations = self.radiations(part, scene)
+        radiations = self.radiating_surfaces(part, scene)
         return {port for port, (_, keys) in radiations.items() if keys.fluid.is_gas}
 
     def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
         """Return the differences of each radiating face from a piston, by the name of its port."""
         result = {}
-        for port, (_, keys) in self.radiations(part, scene).items():
+        for port, (_, keys) in self.radiating_surfaces(part, scene).items():
             levels = self._load_levels(part, scene, port, keys)
             if levels is not None:
                 result[port] = levels
@@ -98,6 +98,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def build() -> FaceLevels | None:
+            """Return the model of the part."""
             face = FaceOfBody(self.device(part, scene), port, keys, end, count)
             return self._estimate_levels(part, scene, face)
 
@@ -134,7 +135,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
         result = super().build(part, scene, clock, full)
-        radiations = {} if full else self.radiations(part, scene)
+        radiations = {} if full else self.radiating_surfaces(part, scene)
         if radiations:
             for port, levels in self.face_levels(part, scene).items():
                 name = f"{part.name}.{port}"
@@ -145,7 +146,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the effects of each assumption about a radiating face on its level."""
         yield from super().neglected(part, scene)
-        if not self.radiations(part, scene):
+        if not self.radiating_surfaces(part, scene):
             return
         from kc2spice.parts.bodies._face_levels import list_level_effects
 
@@ -157,6 +158,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
+        """Yield the figures of the report."""
         yield from super().figures(part, build, waves)
         displacements = self._face_displacements(part, build, waves)
         if not displacements:
@@ -191,8 +193,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def metrics(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         result = super().metrics(part, build, waves)
-        if not self.radiations(part, build.scene):
+        if not self.radiating_surfaces(part, build.scene):
             return result
         faces = self.face_levels(part, build.scene).values()
         totals = [levels.total for levels in faces]

@@ -217,6 +217,8 @@ def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...
 
 
 class Bimorph(BondedBody[BimorphKeys]):
+    """Part type ``bimorph``: layered beam that bends (3-D piezoelectric FE, reduced)."""
+
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys

@@ -568,6 +568,8 @@ def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) ->
 
 
 class Body(MeshedBody[BodyKeys]):
+    """Part type ``body``: the user's own mesh (piezoelectric FE, reduced)."""
+
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
     discretisations = ("refine",)
@@ -576,6 +578,7 @@ class Body(MeshedBody[BodyKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         result: tuple[Port, ...] = part.keys.every_port
         return result
 
@@ -603,6 +606,7 @@ class Body(MeshedBody[BodyKeys]):
         return (part.keys.mesh, *part.keys.poling_files.values())
 
     def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         try:
             _poling_paths(part, scene)

@@ -265,6 +265,8 @@ def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[t
 
 
 class Disc(BondedBody[DiscKeys]):
+    """Part type ``disc``: layered disc with electrodes, such as a buzzer."""
+
     name = "disc"
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys

@@ -247,6 +247,8 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, 
 
 
 class HeatBody(LinearBody[HeatBodyKeys]):
+    """Part type ``heat_body``: heat in a solid (FE, reduced)."""
+
     name = "heat_body"
     title = "heat in a solid (FE, reduced)"
     discretisations = ("refine",)
@@ -274,6 +276,7 @@ dc = "1 W"
 """
 
     def ports(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         return part.keys.every_port
 
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
@@ -284,6 +287,7 @@ dc = "1 W"
         return (part.keys.mesh,)
 
     def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         yield from find_field_problems(part, scene, shapes=False)
         if part.keys.mesh is not None:
@@ -429,6 +433,7 @@ dc = "1 W"
     def checks(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
+        """Yield the checks of a run."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
 

@@ -203,6 +203,8 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
 
 
 class Langevin(BondedBody[LangevinKeys]):
+    """Part type ``langevin``: bolted sandwich transducer."""
+
     name = "langevin"
     title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
     schema = LangevinKeys

@@ -39,6 +39,8 @@ class MatricesKeys(LinearKeys):
 
 
 class Matrices(LinearBody[MatricesKeys]):
+    """Part type ``matrices``: linear model from the matrices of another tool, reduced."""
+
     name = "matrices"
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
@@ -46,6 +48,7 @@ class Matrices(LinearBody[MatricesKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         return self._model(part, scene).ports
 
     def directions(

@@ -145,6 +145,8 @@ class Stack(Chip, FieldKeys):
 
 
 class PiezoStack(MeshedBody[Stack]):
+    """Part type ``piezo_stack``: layered piezoelectric chip (3-D FE, reduced)."""
+
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     discretisations = ("mesh.refine",)
@@ -177,6 +179,7 @@ class PiezoStack(MeshedBody[Stack]):
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         names = ring_names(part.keys.mesh.rings + 1)
         if pressure_nodes(part, scene) is not None:
             names = [PATCH_PORT]
@@ -191,6 +194,7 @@ class PiezoStack(MeshedBody[Stack]):
         return (*ring_ports[: used_rings(part, scene)], anode)
 
     def problems(self, part: Part[Stack], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
@@ -283,6 +287,7 @@ class PiezoStack(MeshedBody[Stack]):
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def rated_by_material(self, part: Part[Stack]) -> float:
+        """Return the voltage limit of the material [V]."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
@@ -337,6 +342,7 @@ class PiezoStack(MeshedBody[Stack]):
         return make_stack(part.keys, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part[Stack], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
             return result
@@ -367,12 +373,14 @@ class PiezoStack(MeshedBody[Stack]):
         return result
 
     def indentation_modulus(self, part: Part[Stack]) -> float:
+        """Return the modulus of the half-space under the contact [Pa]."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else material(stated, "top_cap.material")
         return float(top.indentation_modulus)
 
     def notes(self, part: Part[Stack], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, rom = part.keys, reduction_target(part, scene)
         pressed = pressure_nodes(part, scene) is not None
         used, last = used_rings(part, scene), keys.mesh.rings

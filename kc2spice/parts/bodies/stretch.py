@@ -60,9 +60,11 @@ class Stretch(PatchedPart[StretchKeys]):
     """The part type, whose keys determine the number of branches."""
 
     def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         return _declare(len(patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         keys, count = part.keys, len(patch_ports(part, scene))
         if count % keys.rows:
             problem = "the number of patches is not a multiple of the number of rows"

@@ -63,6 +63,8 @@ class ControllerKeys(Section):
 
 
 class Controller(PartType[ControllerKeys]):
+    """Part type ``controller``: controller that is a Python function, sampled."""
+
     name = "controller"
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
@@ -87,6 +89,7 @@ wiring = "parallel"
 """
 
     def pins(self, part: Part[ControllerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         keys = part.keys
         inputs = (
             Terminal(name, keys.units.get(name, "um"), "-", required=True) for name in keys.inputs
@@ -95,6 +98,7 @@ wiring = "parallel"
         return (*inputs, *ends)
 
     def problems(self, part: Part[ControllerKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
@@ -113,6 +117,7 @@ wiring = "parallel"
             yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
 
     def cards(self, part: Part[ControllerKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":
             return (Element.of(f"V{part.name}", out, ret, "EXTERNAL"),)
@@ -129,6 +134,7 @@ wiring = "parallel"
         yield part.name.lower(), "held"
 
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
     def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, SampledSource]:
@@ -182,6 +188,7 @@ wiring = "parallel"
         return cast(Function, result)
 
     def notes(self, part: Part[ControllerKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         period, delay = format_quantity(keys.period, "s"), format_quantity(keys.delay, "s")
         yield f"{keys.output} every {period}, held from {delay} later on"

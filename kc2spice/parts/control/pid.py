@@ -184,6 +184,8 @@ def pid_subcircuit(
 
 
 class Pid(PartType[Control]):
+    """Part type ``pid``: PID controller of a sphere's height."""
+
     name = "pid"
     title = "PID controller of a sphere's height"
     schema = Control
@@ -203,6 +205,7 @@ class Pid(PartType[Control]):
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
     def pins(self, part: Part[Control], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         return _terminals(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
@@ -215,6 +218,7 @@ class Pid(PartType[Control]):
         return joins
 
     def problems(self, part: Part[Control], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         keys, coils = part.keys, _coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
@@ -244,12 +248,14 @@ class Pid(PartType[Control]):
     def subcircuits(
         self, part: Part[Control], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         local = not _drives_external_circuit(part, build.scene)
         load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part[Control], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         node = "error" if part.keys.form == "ideal" else "e"
         error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
         result = {f"{part.name}.error": error}
@@ -275,6 +281,7 @@ class Pid(PartType[Control]):
         return laws.Equations((controller,), controller.joins, results)
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         ball = sphere.controlled_sphere(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
@@ -290,6 +297,7 @@ class Pid(PartType[Control]):
         }
 
     def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Yield the checks of a run."""
         current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
         if current is None or "time" not in waves:
             return
@@ -301,6 +309,7 @@ class Pid(PartType[Control]):
         yield Check("saturation", share, MAX_SATURATED_SHARE, "of the time", advice, action)
 
     def notes(self, part: Part[Control], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         coils = "real coils" if _drives_external_circuit(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"

@@ -72,6 +72,8 @@ def sensor_declaration(keys: SensorKeys) -> Declaration:
 
 
 class Sensor(PartType[SensorKeys]):
+    """Part type ``sensor``: position sensor with bandwidth, offset and noise."""
+
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
@@ -90,6 +92,7 @@ dc = "1 um"
 """
 
     def pins(self, part: Part[SensorKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         return (
             Terminal.signal("of", DISPLACEMENT, required=True),
             Terminal.signal("out", DISPLACEMENT, signal_out=True),
@@ -97,6 +100,7 @@ dc = "1 um"
         )
 
     def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "the noise of a sensor does not apply to this analysis"
@@ -105,6 +109,7 @@ dc = "1 um"
     def subcircuits(
         self, part: Part[SensorKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         d, keys = sensor_declaration(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
@@ -134,9 +139,11 @@ dc = "1 um"
         return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
 
     def vectors(self, part: Part[SensorKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         return {f"{part.name}.y": build.across(part, "out")}
 
     def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | None:
+        """Return the equations of the part."""
         if part.keys.noise:
             return None
         n, d = part.name, sensor_declaration(part.keys)
@@ -148,6 +155,7 @@ dc = "1 um"
         return laws.Equations((declared_law,), pins, {f"{n}.y": result})
 
     def notes(self, part: Part[SensorKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         offset, noise = format_quantity(keys.offset, "m"), format_quantity(keys.noise, "m")
         yield f"{format_quantity(keys.bandwidth, 'Hz')}, offset {offset}, noise {noise} rms"

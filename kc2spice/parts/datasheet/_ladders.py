@@ -95,10 +95,12 @@ def fit_ladder(
         return np.hstack(columns) / target[:, None]
 
     def residuals(x: np.ndarray) -> np.ndarray:
+        """Return the weighted residuals of the fit."""
         error = terms(x).sum(axis=1) - 1
         return np.concatenate([error.real, error.imag])
 
     def slopes(x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals."""
         columns, corner = terms(x), np.exp(x[count : 2 * count])
         moved = columns[:, :count] * s[:, None] / (s[:, None] + corner)
         by_all = np.hstack([columns[:, :count], moved, columns[:, count:]])

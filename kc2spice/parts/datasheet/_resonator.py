@@ -186,6 +186,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return record.detail
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         plus, minus = self.ends
         rated = getattr(part.keys, "rated_voltage", None)
         joined = scene.is_target(part.name, minus)
@@ -203,6 +204,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
 
         content = self.netlist(part, self.circuit(part, build.scene))
@@ -225,6 +227,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         result, (plus, minus) = {}, self.ends
         nets = (
             (sign, build.net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
@@ -238,6 +241,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return result
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
 
         circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
@@ -261,12 +265,14 @@ class ResonatorPart(NumberedPart[KeysT]):
         return add_loss_heat(result, body) if is_heated(part, build.scene) else result
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         from kc2spice.parts.bodies._linear_body import impedance_metrics, measured_impedance
 
         z = measured_impedance(part, waves)
         return {} if z is None else impedance_metrics(waves["frequency"].real, z)
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         from kc2spice.parts.bodies._linear_body import measured_impedance
         from kc2spice.parts.bodies._pictures import IMPEDANCE_CAPTION, plot_impedances
 
@@ -276,6 +282,7 @@ class ResonatorPart(NumberedPart[KeysT]):
             yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         circuit = self.circuit(part, scene)
         yield f"c0 = {circuit.c0:.4g} F"
         for n, fs in enumerate(circuit.fs):

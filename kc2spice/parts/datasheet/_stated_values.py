@@ -106,9 +106,11 @@ class StatedValues:
         weights /= weights.max()
 
         def residuals(x: np.ndarray) -> np.ndarray:
+            """Return the weighted residuals of the fit."""
             return weights * [self._residual(key, x) for key in self.stated]
 
         def slopes(x: np.ndarray) -> np.ndarray:
+            """Return the derivatives of the residuals."""
             return weights[:, None] * [self._gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}

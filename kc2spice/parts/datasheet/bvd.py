@@ -135,6 +135,8 @@ VALUE_NAMES = {
 
 
 class Bvd(ResonatorPart[BvdKeys]):
+    """Part type ``bvd``: resonator from its data sheet (Butterworth-Van Dyke)."""
+
     name = "bvd"
     title = "resonator from its data sheet (Butterworth-Van Dyke)"
     schema = BvdKeys
@@ -159,6 +161,7 @@ stop = "10 kHz"
 """
 
     def problems(self, part: Part[BvdKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         circuit = self.circuit(part, scene)
         if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
             yield part.wrong(

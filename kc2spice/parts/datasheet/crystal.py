@@ -61,6 +61,8 @@ CRYSTAL_UNITS = {"f": "Hz", "c0": "F", "c1": "F", "l1": "H", "r1": "Ohm", "q": "
 
 
 class Crystal(ResonatorPart[CrystalKeys]):
+    """Part type ``crystal``: quartz crystal or tuning fork from its data sheet."""
+
     name = "crystal"
     title = "quartz crystal or tuning fork from its data sheet"
     schema = CrystalKeys

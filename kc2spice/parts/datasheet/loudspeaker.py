@@ -130,6 +130,8 @@ def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> Non
 
 
 class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPart[LoudspeakerKeys]):
+    """Part type ``loudspeaker``: loudspeaker from its Thiele-Small parameters."""
+
     name, title = "loudspeaker", "loudspeaker from its Thiele-Small parameters"
     schema = LoudspeakerKeys
     source = "data sheet"
@@ -207,6 +209,7 @@ stop = "1 kHz"
         return record.detail
 
     def declared(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         driver, tolerance = self._parameters(part, scene), part.keys.tolerance
         params = []
         for key, (unit, words) in DRIVER_PARAMETERS.items():
@@ -247,6 +250,7 @@ stop = "1 kHz"
     def subcircuits(
         self, part: Part[LoudspeakerKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
         mass = self._cone(part, build.scene)
         d = replace(d, given=(*d.given, *mass.given[1:]))  # the motor already has a parameter mms
@@ -263,6 +267,7 @@ stop = "1 kHz"
         return result
 
     def law(self, part: Part[LoudspeakerKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
         if f"{n}.{COIL}" in results:
@@ -274,6 +279,7 @@ stop = "1 kHz"
         return replace(equations, laws=(*equations.laws, cone), results=results, nets=nets)
 
     def checks(self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
+        """Yield the checks of a run."""
         yield from super().checks(part, build, waves)
         limit, x = part.keys.xmax, waves.data.get(f"{part.name}.x")
         if limit is not None and x is not None:
@@ -293,6 +299,7 @@ stop = "1 kHz"
     def metrics(
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         result = self._impedance(part, waves)
         if result is None:
             share = compute_efficiency(part, build.scene, waves) if "time" in waves else None
@@ -308,6 +315,7 @@ stop = "1 kHz"
     def figures(
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         result = self._impedance(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
@@ -339,6 +347,7 @@ stop = "1 kHz"
                 yield f"{load} of mms are the air at the {side}, as in a baffle"
 
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         driver = self._parameters(part, scene)
         qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         peak = driver.re * (1 + driver.qms / driver.qes)

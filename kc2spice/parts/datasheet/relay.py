@@ -142,6 +142,8 @@ def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
 
 
 class Relay(NumberedPart[RelayKeys], DeclaredPart[RelayKeys]):
+    """Part type ``relay``: relay with one contact from its data sheet."""
+
     name, title = "relay", "relay with one contact from its data sheet"
     schema = RelayKeys
     source = "data sheet"
@@ -175,6 +177,7 @@ pins = { a = "relay.com", b = "gnd" }
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         if keys.contact_resistance >= keys.insulation_resistance:
@@ -187,6 +190,7 @@ pins = { a = "relay.com", b = "gnd" }
             )
 
     def declared(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         keys, record = part.keys, scene.record(part)
         detail = record.detail if record is not None else None
         times = detail if isinstance(detail, Timing) else solve_timing(part)
@@ -219,6 +223,7 @@ pins = { a = "relay.com", b = "gnd" }
         yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)
 
     def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, times = part.keys, solve_timing(part)
         yield (
             f"operates at {keys.pick_up:g} V, releases at {keys.release:g} V, coil "

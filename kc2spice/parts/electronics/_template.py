@@ -85,6 +85,7 @@ class TemplatePart(PartType[KeysT]):
     constants: ClassVar[Mapping[str, float]] = {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         return self.fixed
 
     def template_values(
@@ -96,6 +97,7 @@ class TemplatePart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         params, values = self.template_values(part, build)
         if build.has_noise and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
@@ -219,6 +221,7 @@ class Driver(TemplatePart[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | None:
+        """Return the equations of the part."""
         params, values = self.template_values(part, build)
         declared = self.declare_circuit((*params, *make_parameters(values)))
         if declared is None or build.has_noise or build.net(part, "ref") != "0":
@@ -230,6 +233,7 @@ class Driver(TemplatePart[KeysT]):
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         if build.scene.analysis.type != "transient":
             return {}
         result = pin_voltages(part, build, ("command", *self.terminals))
@@ -250,6 +254,7 @@ class Driver(TemplatePart[KeysT]):
             )
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)
         yield f"{self.name}, " + ", ".join(settings)
 
@@ -263,6 +268,7 @@ class CoilDriver(Driver[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """Return the values that the template needs."""
         return self.for_load(part.keys, self.load(part, build))
 
     @abstractmethod

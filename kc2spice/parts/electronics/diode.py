@@ -46,6 +46,8 @@ class DiodeKeys(Section):
 
 
 class Diode(TemplatePart[DiodeKeys]):
+    """Part type ``diode``: junction diode."""
+
     name = "diode"
     title = heading = "junction diode"
     schema = DiodeKeys
@@ -58,6 +60,7 @@ class Diode(TemplatePart[DiodeKeys]):
     def template_values(
         self, part: Part[DiodeKeys], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """Return the values that the template needs."""
         keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
@@ -70,6 +73,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return params, {}
 
     def law(self, part: Part[DiodeKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
         flow = junction.flows[0].pin
@@ -77,6 +81,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return laws.Equations((junction,), ends, results)
 
     def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
@@ -86,6 +91,7 @@ class Diode(TemplatePart[DiodeKeys]):
             yield Numerics(part.name, options={"reltol": change})
 
     def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
         yield Neglected("heating of diodes", "27 °C throughout", "not estimated")

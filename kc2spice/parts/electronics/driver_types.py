@@ -56,6 +56,8 @@ class AmplifierKeys(InputNoise):
 
 
 class Amplifier(Driver[AmplifierKeys]):
+    """Part type ``amplifier``: high-voltage amplifier with slew rate and current limit."""
+
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     schema = AmplifierKeys
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
@@ -88,6 +90,8 @@ class ChargeKeys(InputNoise):
 
 
 class ChargeDrive(Driver[ChargeKeys]):
+    """Part type ``charge_drive``: charge drive for a floating capacitive load."""
+
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
@@ -129,6 +133,8 @@ class HalfBridgeKeys(Section):
 
 
 class HalfBridge(Driver[HalfBridgeKeys]):
+    """Part type ``half_bridge``: half-bridge with gate resistors and reservoir."""
+
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
     schema = HalfBridgeKeys
     template, heading = "driver_half_bridge", "half-bridge for the chip"
@@ -204,6 +210,8 @@ class PwmKeys(Section):
 
 
 class PwmDrive(CoilDriver[PwmKeys]):
+    """Part type ``pwm_drive``: current source for coils, pulse-width modulated H-bridge."""
+
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"

@@ -94,6 +94,8 @@ class NetlistKeys(Section):
 
 
 class Netlist(PartType[NetlistKeys]):
+    """Part type ``netlist``: the user's own subcircuit."""
+
     name = "netlist"
     noise = "that of its own cards"
     title = "the user's own subcircuit"
@@ -102,6 +104,7 @@ class Netlist(PartType[NetlistKeys]):
     without_law = "its equations are a netlist of the user"
 
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         result = []
         for name in _pins(part, scene):
             unit, flow = PIN_KINDS[part.keys.units.get(name, "V/A")]
@@ -122,6 +125,7 @@ class Netlist(PartType[NetlistKeys]):
         return {"command": f"{control.name}.command"}
 
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in PIN_KINDS:
@@ -168,6 +172,7 @@ class Netlist(PartType[NetlistKeys]):
     def subcircuits(
         self, part: Part[NetlistKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         result = read_included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
@@ -199,6 +204,7 @@ class Netlist(PartType[NetlistKeys]):
         return result
 
     def checks(self, part: Part[NetlistKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Yield the checks of a run."""
         for pin, rating in part.keys.ratings.items():
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
             if volts is None or "time" not in waves:
@@ -214,6 +220,7 @@ class Netlist(PartType[NetlistKeys]):
                 yield Check(name, most, slack, "V ahead", RATING_ADVICE, wiring=True)
 
     def notes(self, part: Part[NetlistKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f".subckt {part.keys.subckt} of {part.keys.file}"
 
 

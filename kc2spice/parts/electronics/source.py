@@ -195,12 +195,15 @@ class SourceKeys(Section):
 
 
 class Source(PartType[SourceKeys]):
+    """Part type ``source``: independent source of a quantity of any domain."""
+
     name = "source"
     title = "independent source: voltage, current, force, displacement or acceleration"
     schema = SourceKeys
     source = "ideal source"
 
     def pins(self, part: Part[SourceKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         pins = SOURCE_TYPES[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
@@ -212,6 +215,7 @@ class Source(PartType[SourceKeys]):
             yield Numerics(part.name, period=pulse.period)
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
+        """Return the prescribed voltage over time [V]."""
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
@@ -236,6 +240,7 @@ class Source(PartType[SourceKeys]):
         return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.net(part, "out"), build.net(part, "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
@@ -263,6 +268,7 @@ class Source(PartType[SourceKeys]):
         return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
@@ -291,6 +297,7 @@ class Source(PartType[SourceKeys]):
         yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)
@@ -306,6 +313,7 @@ class Source(PartType[SourceKeys]):
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
     def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{part.keys.kind}, {part.keys.shape}"
 
 

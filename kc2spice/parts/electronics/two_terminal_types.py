@@ -170,6 +170,7 @@ class LinearElement(DeclaredPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
@@ -181,6 +182,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
@@ -235,6 +237,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         if is_heated(part, build.scene):
             return super().vectors(part, build)
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
@@ -252,6 +255,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         if is_heated(part, scene):
             yield from super().notes(part, scene)
             return

@@ -151,6 +151,7 @@ class PatchedPart(DeclaredPart[KeysT]):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
@@ -165,9 +166,11 @@ class Gap(PatchedPart[GapKeys]):
     discretisations = ("film.branches",)
 
     def declared(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         return self._with_branches(part, scene, count_film_branches(part, scene))
 
     def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
+        """Return the declaration after the model is built."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.declared(part, build.scene)
@@ -193,6 +196,7 @@ class Gap(PatchedPart[GapKeys]):
         return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         keys, ports = part.keys, patch_ports(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"

@@ -49,6 +49,8 @@ class CurrentCasesKeys(Section):
 
 
 class CurrentCases(PartType[CurrentCasesKeys]):
+    """Part type ``current_cases``: force of two coils over height, for pairs of currents."""
+
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
@@ -62,6 +64,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         return {"analysis": sweep}
 
     def pins(self, part: Part[CurrentCasesKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
         return height, Terminal.speed("v", TRANSLATION, GROUND)
 
@@ -72,6 +75,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
         height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
@@ -108,6 +112,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_force_names(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
@@ -116,6 +121,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def metrics(
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         forces = _recorded_forces(part, build, waves)
         return {
             "force_max_n": Metric(float(np.abs(forces).max()), "N"),
@@ -163,6 +169,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{len(current_pairs(part))} pairs of currents"
 
 

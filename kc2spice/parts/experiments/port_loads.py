@@ -58,6 +58,8 @@ class PortLoadsKeys(Section):
 
 
 class PortLoads(PartType[PortLoadsKeys]):
+    """Part type ``port_loads``: unit load on every port of a body in turn, all responses."""
+
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
@@ -76,6 +78,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
@@ -88,6 +91,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         body, name = body_of(part, build.scene), partial(build.inner_name, part)
         rings, library = _rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
@@ -170,6 +174,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         f = waves["frequency"].real / 1e3
         rings = _rings(body_of(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
@@ -215,6 +220,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 
     def notes(self, part: Part[PortLoadsKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         ends = " … ".join(format_quantity(f, "Hz") for f in (keys.start, keys.stop))
         yield f"{keys.steps} frequencies, {ends}"

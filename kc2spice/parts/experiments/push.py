@@ -45,6 +45,8 @@ class PushKeys(Section):
 
 
 class Push(TouchablePart[PushKeys]):
+    """Part type ``push``: sphere pushed down in equal steps, each an operating point."""
+
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
@@ -58,6 +60,7 @@ class Push(TouchablePart[PushKeys]):
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
     def pins(self, part: Part[PushKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
         return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
@@ -66,6 +69,7 @@ class Push(TouchablePart[PushKeys]):
         return {sphere_of(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         ball = sphere_of(part, scene)
         _pair(part, scene)  # says what it needs
         if part.keys.depth >= ball.keys.radius:
@@ -74,6 +78,7 @@ class Push(TouchablePart[PushKeys]):
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part[PushKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
@@ -88,6 +93,7 @@ class Push(TouchablePart[PushKeys]):
         yield Penetration(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         bottom = build.across(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
@@ -112,6 +118,7 @@ class Push(TouchablePart[PushKeys]):
         }
 
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
+        """Yield the checks of a run."""
         pair, gates = _pair(part, build.scene), build.scene.gates
         # The first depths are contacts of one basis function, which the law does not resolve: all
         # errors are then relative to the largest force; in the comparison with the full model they
@@ -126,12 +133,14 @@ class Push(TouchablePart[PushKeys]):
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
 
     def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n = part.name
         source = laws.IdealSource(n, "displacement", constant_waveform(0.0))
         results = {f"{n}.depth": laws.scaled_wave(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def notes(self, part: Part[PushKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         yield f"{keys.steps} steps down to {format_quantity(keys.depth, 'm')}"
 

@@ -42,15 +42,19 @@ class ThrowKeys(Section):
 
 
 class Throw(_touching.TouchablePart[ThrowKeys]):
+    """Part type ``throw``: velocity and height of a sphere at t = 0."""
+
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
     source = "initial state"
 
     def cards(self, part: Part[ThrowKeys], build: Build) -> tuple[Item, ...]:
+        """Return the cards of the part in the deck."""
         return ()
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         sphere_of(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
@@ -102,6 +106,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         }
 
     def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
+        """Yield the checks of a run."""
         gates, ball = build.scene.gates, sphere_of(part, build.scene).name
         pair = _touching.single_pair(build.scene)
         law = pair.basis_error() if pair else 0.0
@@ -119,6 +124,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         return laws.Equations()
 
     def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         yield f"{keys.velocity:g} m/s from {format_quantity(keys.gap, 'm')}"
 

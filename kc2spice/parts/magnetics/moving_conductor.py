@@ -245,12 +245,15 @@ class MovingBody(DeclaredPart[MovingT]):
         return sweep_numerics(part, scene)
 
     def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         return _declare(self, _branches(part.keys, 0))
 
     def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
+        """Return the declaration after the model is built."""
         return declare(part, build.model(part, Ladder))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         if keys.y_min >= keys.y_max:
@@ -323,6 +326,7 @@ class MovingBody(DeclaredPart[MovingT]):
             )
 
         def build() -> Ladder:
+            """Return the model of the part."""
             fixed = []
             for magnet in keys.magnets.values():
                 fixed += surface_currents(magnet, magnet.remanence)
@@ -355,6 +359,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def checks(
         self, part: Part[MovingT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
+        """Yield the checks of a run."""
         result = build.model(part, Ladder)
         loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
@@ -364,7 +369,7 @@ class MovingBody(DeclaredPart[MovingT]):
             more = f"raise {part.name}.rings"
             unit = "of flux, force and loss"
             yield Check(
-                finer, result.rough, MAX_RING_ERROR, unit, more, "warn", discretisation=True
+                finer, result.ring_error, MAX_RING_ERROR, unit, more, "warn", discretisation=True
             )
             highest = _highest_run_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
@@ -381,6 +386,7 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -390,6 +396,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
+        """Return the description of the error estimate of the mesh."""
         return _ring_error(build.model(part, Ladder)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
@@ -415,6 +422,8 @@ class MovingBody(DeclaredPart[MovingT]):
 
 
 class MovingConductor(MovingBody[MovingConductorKeys]):
+    """Part type ``moving_conductor``: conductor that moves along coils and magnets."""
+
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"
     schema = MovingConductorKeys
@@ -470,9 +479,12 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
-        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE))
+        return replace(
+            ladder, ring_error=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE)
+        )
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
         highest = format_quantity(frequency, "Hz")
         yield (

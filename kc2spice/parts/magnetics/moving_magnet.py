@@ -65,6 +65,8 @@ def demagnetising_factor(inner: float, outer: float, height: float) -> float:
 
 
 class MovingMagnet(MovingBody[MovingMagnetKeys]):
+    """Part type ``moving_magnet``: magnet that moves along coils and magnets."""
+
     name = "moving_magnet"
     title = "magnet that moves along coils and magnets"
     discretisations = ("tolerance",)
@@ -116,6 +118,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         )
 
     def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
         yield from self.neglected(part, scene)
         keys = part.keys

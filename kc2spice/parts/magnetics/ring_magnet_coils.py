@@ -186,6 +186,8 @@ def coils_subcircuit(
 
 
 class RingMagnetCoils(TouchablePart[Coils]):
+    """Part type ``ring_magnet_coils``: ring magnet and two coils around a magnetic sphere."""
+
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
@@ -204,6 +206,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
     def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         thermal = HEAT_TERMINALS if is_heated(part, scene) else ()
         if not has_real_coils(part, scene):
             rest = None if _is_driven(part, scene) else "gnd"
@@ -229,6 +232,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from refuse_conductor_keys(part, scene)
         keys, name, ball = part.keys, part.name, sphere_of(part, scene)
         radius = ball.keys.radius
@@ -322,6 +326,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> EMTable:
+            """Return the model of the part."""
             from kc2spice.fem.magnet_field import compute_catch_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
@@ -339,6 +344,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def subcircuits(
         self, part: Part[Coils], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part."""
         keys, name, apart = (
             part.keys,
             build.libraries[part.name],
@@ -353,6 +359,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         if not _is_driven(part, build.scene):
             return {}
         prefix, inst = result_prefix(part), f"x{part.name.lower()}"
@@ -381,6 +388,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
         prefix, apart = result_prefix(part), has_real_coils(part, scene)
         stated, ends = (
@@ -405,6 +413,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return laws.Equations((law,), law.joins, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         result = _coil_heat.heat_metrics(part.keys, result_prefix(part), waves)
         if f"{result_prefix(part)}.voltage" not in waves:
             return result
@@ -455,6 +464,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def checks(
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
+        """Yield the checks of a run."""
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
@@ -493,6 +503,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def figures(
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
+        """Yield the figures of the report."""
         prefix = result_prefix(part)
         currents = _coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):

@@ -83,12 +83,14 @@ class Contact(DeclaredPart[ContactKeys]):
         return Pair(part, scene)
 
     def declared(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         pair = make_pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declare(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         law = Normal(1.0, damping=part.keys.damping, friction=part.keys.friction)
         d = self._with_heat_pin(_declare(make_pair(part, scene), law), part, scene)
         ends = {"rail": "gnd", "base": "gnd", AMBIENT: "gnd"}
@@ -129,6 +131,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Numerics(what, content=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         pair = make_pair(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
@@ -148,6 +151,7 @@ class Contact(DeclaredPart[ContactKeys]):
             assert pair.normal  # the type checker cannot infer this
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         n, pair, d = part.name, make_pair(part, build.scene), self.declared(part, build.scene)
         card, heated = f"@b.x{n}.b{{}}[i]", self.resolved_declaration(part, build.scene).heat_branch
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
@@ -169,6 +173,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def metrics(
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         pair = make_pair(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
         if "time" not in waves or v is None or pair.starts_moving:
@@ -183,6 +188,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def checks(
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
+        """Yield the checks of a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
         if "time" in waves and not pair.starts_moving:
             steps = motion_error_limit(build.scene.solver)
@@ -204,6 +210,7 @@ class Contact(DeclaredPart[ContactKeys]):
             yield from _check_depth(pair, waves, place)
 
     def figures(self, part: Part[ContactKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
@@ -225,6 +232,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
@@ -241,9 +249,11 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Check(name, make_pair(part, build.scene).basis_error(), MAX_BASIS_ERROR)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
+        """Return the description of the error estimate of the mesh."""
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys, pair = part.keys, make_pair(part, scene)
         normal = pair.normal
         if keys.shape == "pressure":

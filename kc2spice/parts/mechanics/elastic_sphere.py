@@ -46,6 +46,8 @@ class ElasticSphereKeys(LinearKeys):
 
 
 class ElasticSphere(LinearBody[ElasticSphereKeys]):
+    """Part type ``elastic_sphere``: elasticity of a sphere."""
+
     name = "elastic_sphere"
     title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
     schema = ElasticSphereKeys
@@ -69,9 +71,11 @@ elastic = true
         return 2
 
     def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model."""
         return (Port(SPHERE_PATCH, TRANSLATION.port),)
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
         _contact(part, scene)  # this call raises the errors of impossible contacts
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
@@ -155,6 +159,7 @@ elastic = true
         yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 
     def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield from super().notes(part, scene)
         deep = make_pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(

@@ -107,9 +107,12 @@ def point_mass(
 
 
 class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
+    """Part type ``mass``: point mass at a displacement pin."""
+
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
     def declared(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
         shares = tuple(float(shake.along or 0.0) for shake in _frame_accelerations(part, scene))
         return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
@@ -128,6 +131,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "position and velocity of a mass need a transient analysis"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
@@ -188,11 +192,13 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:
+        """Return the metrics that a simulator can compute."""
         if build.scene.analysis.type != "transient":
             return {}
         return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
 
     def metrics(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         if "time" not in waves:
             return {}
         x, v = waves[f"{part.name}.x"], waves[f"{part.name}.v"]
@@ -202,6 +208,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         }
 
     def notes(self, part: Part[MassKeys], scene: Scene) -> Iterator[str]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f"mass {part.keys.mass:g}"
 
 

@@ -147,11 +147,14 @@ def rigid_sphere(
 
 
 class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
+    """Part type ``sphere``: rigid sphere, vertical motion."""
+
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
 
     def declared(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
+        """Return the declaration for the keys of the part."""
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
@@ -166,6 +169,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Return the pins in the order of the subcircuit."""
         declared = (
             () if _has_prescribed_motion(part, scene) else make_pins(self.declared(part, scene))
         )
@@ -175,6 +179,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield the errors of the keys of the part."""
         bodies = [body.name for body in scene.bodies]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
@@ -230,9 +235,11 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Vector]:
+        """Return the results of the part, keyed by name."""
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Probe]:
+        """Return the metrics that a simulator can compute."""
         if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
@@ -244,6 +251,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def metrics(
         self, part: Part[SphereKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}
@@ -295,6 +303,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         yield Balance(entries, abs(float(gap[-1])), turnover, MAX_WORK_ERROR, advice)
 
     def figures(self, part: Part[SphereKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        """Yield the figures of the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
@@ -320,6 +329,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return begin.height, begin.velocity
 
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
+        """Return the equations of the part."""
         n, result = part.name, super().law(part, build)
         height = laws.scaled_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"
@@ -328,6 +338,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return replace(result, pins=pins, results=results)
 
     def notes(self, part: Part[SphereKeys], scene: Scene) -> Iterator[str | Neglected]:
+        """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         mass = format_quantity(keys.mass, "kg")
         yield f"{mass}, vertical motion, gravity {scene.gravity:g} m/s2"
