@@ -1,10 +1,12 @@
 """The page on own methods of reduction works as it is printed."""
 
+import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
-from commands import python
+from commands import python, typed
 from support import registry
 
 ROOT = Path(__file__).parents[2]
@@ -46,3 +48,21 @@ def test_the_comparison_contains_all_methods_in_states_of_first_order(printed):
         assert int(rows[name]) == 2 * int(unknowns[name])
     for method in registry._BUILT_IN:
         assert re.search(rf"(?m)^{method.name} (\d+|[a-z])", printed)
+
+
+def test_the_command_finds_an_installed_method(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (entry,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    (command,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "modal_truncation.py").write_text(blocks[0], encoding="utf-8")
+    parts = re.fullmatch(r'\[project\.entry-points\."([\w.]+)"\]\n(\w+) = "(\S+)"\n', entry)
+    installed = tmp_path / "modal_truncation-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: modal\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(f"[{parts[1]}]\n{parts[2]} = {parts[3]}\n")
+    matrices = next(block.partition("chain =")[0] for block in blocks if "chain =" in block)
+    (tmp_path / "save.py").write_text(f"{matrices}\n{blocks[-1]}", encoding="utf-8")
+    python(tmp_path, "save.py")
+    typed(tmp_path, [shlex.split(command)[1:]], path=[tmp_path])
+    record = json.loads((tmp_path / "chain_rom" / "chain_rom.json").read_text(encoding="utf-8"))
+    assert "modal truncation" in json.dumps(record)

@@ -1,6 +1,12 @@
-"""Methods of reduction by name, and the choice of methods for a model."""
+"""Methods of reduction by name, and the choice of methods for a model.
+
+Other packages declare their methods as entry points of the group :data:`ENTRY_POINT_GROUP`.
+"""
 
 from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
 
 import numpy as np
 
@@ -26,7 +32,7 @@ _BUILT_IN = (
     POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, CONGRUENT, BLOCK_KRYLOV, RationalKrylov(),
     Irka(),
 )  # fmt: skip
-# description of where a user's method may be used
+ENTRY_POINT_GROUP = "kc2spice.reductors"
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}
 
 
@@ -89,8 +95,18 @@ def _require_reductor(value: object, where: str) -> None:
     )
 
 
+@cache
+def _load_installed_reductors() -> None:
+    """Register the methods of other distributions; methods of the same name have precedence."""
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        reductor = entry.load()
+        _require_reductor(reductor, f"entry point {entry.name} of {ENTRY_POINT_GROUP}")
+        _reductors.setdefault(reductor.name, reductor)
+
+
 def reductor_names() -> list[str]:
-    """Return the names of all registered methods, built-in methods first."""
+    """Return the names of all registered and installed methods, built-in methods first."""
+    _load_installed_reductors()
     return list(_reductors)
 
 
@@ -100,7 +116,7 @@ def require_method_name(name: str, where: str, advice: str) -> None:
     ``where`` is the argument or option with the name, ``advice`` the next action if no registered
     name is similar.
     """
-    if name not in _reductors:
+    if name not in _reductors and name not in reductor_names():
         problem = "this reduction method does not exist"
         raise unknown(problem, name, _reductors, where, advice=advice)
 
