@@ -418,6 +418,7 @@ class Result:
         return self._over("frequency")
 
     def _over(self, scale: str) -> np.ndarray:
+        """Return the scale; raise an error if the result has another scale."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}", where=self.scene, got=self.scale
@@ -554,6 +555,7 @@ def _make_result(
     checks: tuple[Check, ...] = (),
     **more: Any,
 ) -> Result:
+    """Return the result of a run for a program."""
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
     metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)

@@ -154,7 +154,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.mechanics.sphere": "SphereKeys rigid_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",
     "kc2spice.physics.cards": "subcircuit_items",
-    "kc2spice.physics.contact": "Normal SPACING_NOTE declare_contact",
+    "kc2spice.physics.contact": "ContactForce SPACING_NOTE declare_contact",
     "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
     "kc2spice.physics.junction": "Junction",
     "kc2spice.physics.law": "DeclaredLaw",

@@ -579,6 +579,7 @@ class BondedBlocks:
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
     def _make_setup(self, solid: Solid, near: float) -> Setup:
+        """Return the boundary conditions of the blocks."""
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
 
         def is_inside(box: Box) -> np.ndarray:

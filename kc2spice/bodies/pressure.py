@@ -104,6 +104,7 @@ class PressureBasis(EqualByContent):
         return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _moments(self, power: int) -> np.ndarray:
+        """Return integrals of powers of the radius over each function."""
         x, w = np.polynomial.legendre.leggauss(4)
         a, b = self.nodes[:-1], self.nodes[1:]
         r = (a + b)[:, None] / 2 + (b - a)[:, None] / 2 * x
@@ -245,6 +246,7 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     r, z = solid.places
 
     def grade_level(at: np.ndarray) -> np.ndarray:
+        """Return the nodes at a height."""
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
@@ -270,6 +272,7 @@ def _basis_load_vectors(solid: Solid, shape: PressureBasis, facets: np.ndarray) 
     basis = solid.face(facets, 5)
 
     def facet_load(heights: np.ndarray) -> np.ndarray:
+        """Return the load of one basis function on the facets."""
         profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
         return np.asarray(form.assemble(basis))

@@ -321,5 +321,6 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
 
 
 def _facets(solid: Solid, height: float) -> np.ndarray:
+    """Return the facets of a face at a height."""
     near = _POSITION_TOLERANCE * solid.places.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

@@ -207,6 +207,7 @@ class Waveform:
 
     @cached_property
     def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the times and values of the corners."""
         times, values = np.array(self.points, dtype=float).T
         return times, values
 

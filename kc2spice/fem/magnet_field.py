@@ -406,6 +406,7 @@ def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def size(r: float, y: float) -> float:
+        """Return the size of elements at a point."""
         to_corner = min(hypot(r - a, y - b) for a, b in corners)
         to_part = min(
             hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]

@@ -438,6 +438,7 @@ def current_loop(
     nodes, heights = _chebyshev_heights(low, high)
 
     def linked_flux(windings: Sequence[Winding]) -> np.ndarray:
+        """Return the flux of all sheets through a winding."""
         return sum(
             starmap(Winding.through, product(windings, sheets, (heights,))), np.zeros(HEIGHT_NODES)
         )

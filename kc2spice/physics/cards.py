@@ -114,6 +114,7 @@ def has_losses(declaration: Declaration) -> bool:
 def _write_items(
     declaration: Declaration, noise: bool, tables: Mapping[str, TableFunction]
 ) -> Iterator[Line]:
+    """Yield the cards of a declaration."""
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
     nodes, rest = _variable_trees(declaration), reference_pin_name(declaration)
@@ -456,6 +457,7 @@ def force_node(branch: Branch) -> str:
 
 
 def _comment(kind: str, branch: Branch, **words: str) -> str:
+    """Return the comment on the flow of a branch."""
     return f"* {_FLOW_COMMENTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
@@ -481,6 +483,7 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
+    """Return an expression in node voltages as text."""
     return format_tree(substitute_names(declaration.name_power_series(tree), nodes))
 
 
@@ -535,6 +538,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
 def _write_force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree, lookups: Lookups
 ) -> Iterator[Line]:
+    """Yield the cards of the force of a displacement."""
     if b in declaration.inertial_branches:
         yield from _write_mass(declaration, b)
         return
@@ -593,6 +597,7 @@ def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
 def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
+    """Yield the cards of the current of a voltage branch."""
     motion, charge = declaration.split_motion(declaration.stored_quantity(b))
     direct, inner = declaration.direct_flow(b), b.plus
     if motion != ZERO:
@@ -625,6 +630,7 @@ def _write_charge(
 def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
+    """Yield the cards of the voltage of a current branch."""
     motion, flux = declaration.split_motion(declaration.stored_quantity(b))
     drop, inner = declaration.direct_flow(b), f"in_{b.name}"
     if motion != ZERO:

@@ -33,7 +33,7 @@ SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
-class Normal:
+class ContactForce:
     """Force of a contact along its axis, with friction (Hunt and Crossley 1975).
 
     For an overlap x above zero, ``F = f(x) max(0, 1 + damping x')`` with
@@ -66,6 +66,7 @@ class Normal:
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:
+        """Return energy, elastic force and force as expressions."""
         return _contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
@@ -100,7 +101,7 @@ def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, T
 def declare_contact(
     ports: tuple[str, ...],
     gaps: tuple[float, ...],
-    law: Normal,
+    law: ContactForce,
     *,
     rigid: tuple[bool, bool] = (False, True),
     under: tuple[float, tuple[float, ...]] | None = None,
@@ -185,7 +186,7 @@ def declare_contact(
 def _parameters(
     ports: tuple[str, ...],
     gaps: tuple[float, ...],
-    law: Normal,
+    law: ContactForce,
     under: tuple[float, tuple[float, ...]] | None,
     groove: float | None,
 ) -> Iterator[Param]:

@@ -591,14 +591,17 @@ class Declaration:
         return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _slope(self, what: str, name: str) -> Tree:
+        """Return the derivative of an energy with respect to a name."""
         return differentiate_tree(self._tree(what), name)
 
     def _parse(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
+        """Return the expression trees of texts; errors name the part."""
         where = f"{what} of {self.name}"
         return {name: parse_simplified(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
+        """Return the trees of the dissipative forces."""
         return self._parse("force", self.forces)
 
     @cached_property

@@ -33,6 +33,7 @@ _Table = Callable[[float], float]
 
 
 def _number(value: float) -> Number:
+    """Return a number as an expression tree."""
     return Number(f"{value:g}")
 
 
@@ -57,6 +58,7 @@ class DeclaredLaw(Device):
 
     @property
     def _through_branches(self) -> tuple[Branch, ...]:
+        """Return the branches whose coordinate is a flow."""
         return tuple(b for b in self.declaration.branches if b.flows)
 
     @property
@@ -84,15 +86,18 @@ class DeclaredLaw(Device):
 
     @property
     def prescribes(self) -> tuple[str, ...]:
+        """Return the pins whose value the law prescribes."""
         return tuple(self.declaration.outputs)
 
     @property
     def taps(self) -> tuple[Tap, ...]:
+        """Return the quantities across the pins that are inputs."""
         d = self.declaration
         rates = map(partial(self._tap, rate=True), d.branches_with_rate)
         return (*map(self._tap, d.branches), *rates)
 
     def _tap(self, b: Branch, rate: bool = False) -> Tap:
+        """Return the input of a branch."""
         return Tap(b.plus, self._lower_pin(b), rate, b.less)
 
     @cached_property
@@ -111,10 +116,12 @@ class DeclaredLaw(Device):
 
     @property
     def flows(self) -> tuple[Flow, ...]:
+        """Return the flows of all acting branches."""
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
+        """Return the indices of the branches with a stored quantity."""
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
     @cached_property
@@ -126,6 +133,7 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
+        """Return the names of the states: flows of currents, then declared states."""
         return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
@@ -152,6 +160,7 @@ class DeclaredLaw(Device):
 
     @property
     def linear(self) -> bool:
+        """Return whether the declaration is linear."""
         return self.declaration.linear
 
     @cached_property
@@ -198,10 +207,12 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _flow_function(self) -> _Compiled:
+        """Return the compiled flows with their derivatives."""
         return self._compile_declared(self._flow_trees, slopes=True)
 
     @cached_property
     def _output_function(self) -> _Compiled:
+        """Return the compiled flows without derivatives."""
         return self._compile_declared(self._flow_trees)
 
     @cached_property
@@ -214,10 +225,12 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _storage_function(self) -> _Compiled:
+        """Return the compiled stored quantities with their derivatives."""
         return self._compile_declared(self._storage_trees, slopes=True)
 
     @cached_property
     def _store_function(self) -> _Compiled:
+        """Return the compiled stored quantities without derivatives."""
         return self._compile_declared(self._storage_trees)
 
     @cached_property
@@ -235,6 +248,7 @@ class DeclaredLaw(Device):
         return self._compile_declared(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the values of a compiled function for inputs in a mode."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -250,11 +264,13 @@ class DeclaredLaw(Device):
     def _values_and_slopes(
         self, compiled: _Compiled, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and derivatives of a compiled function."""
         result = self._evaluate(compiled, e, mode)
         count = result.size // (1 + e.size)
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the flows and their derivatives."""
         return self._values_and_slopes(self._flow_function, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -262,12 +278,15 @@ class DeclaredLaw(Device):
         return self._values_and_slopes(self._storage_function, e, mode)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the flows without derivatives."""
         return self._evaluate(self._output_function, e, mode)
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the stored quantities without derivatives."""
         return self._evaluate(self._store_function, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
+        """Return the sign of each one-sided expression."""
         flags: tuple[int, ...] = (0,) * len(self._corners)
         for k in range(len(flags)):  # each may depend on earlier ones
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
@@ -275,11 +294,13 @@ class DeclaredLaw(Device):
         return flags
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the distances from the next change of the mode."""
         return self._evaluate(self._guard_function, e, mode) * np.where(
             np.array(mode) > 0, 1.0, -1.0
         )
 
     def switch(self, mode: Any, guard: int) -> tuple[int, ...]:
+        """Return the mode after a guard fell to zero."""
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
@@ -299,6 +320,7 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
     def check(self, t: float, e: np.ndarray) -> None:
+        """Raise an error if a limit of the declaration is violated."""
         result = self._evaluate(self._limit_function, e, self.mode(e))
         for what, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:
@@ -310,9 +332,11 @@ class DeclaredLaw(Device):
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
+        """Return the stored energy [J]."""
         return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
+        """Return the lost power [W]."""
         if self.declaration.network_loss == ZERO:
             return 0.0
         return float(self._evaluate(self._energy_function, e, mode)[1])

@@ -122,6 +122,7 @@ class _Card(Writer):
     """Writer of expressions for netlist cards."""
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """Return a function call in the syntax of a card."""
         match function, arguments:
             case "sqrt", (Call("max", (_, value)),):  # keeps the derivative at zero finite
                 return f"sqrt(max(1e-18, {self.write(value)}))"
@@ -182,6 +183,7 @@ def divide_trees(first: Tree, second: Tree) -> Tree:
 
 
 def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
+    """Return a chain of expressions with one operator between them."""
     first, *rest = trees
     for tree in rest:
         first = Binary(op, first, tree)
@@ -198,6 +200,7 @@ def differentiate_tree(tree: Tree, name: str) -> Tree:
 
 
 def _derivative(tree: Tree, name: str) -> Tree:
+    """Return the derivative of a tree before simplification."""
     match tree:
         case Name(found):
             return ONE if found == name else ZERO
@@ -236,6 +239,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
 
 
 def _chain_rule(function: str, value: Tree) -> Tree:
+    """Return the derivative of a function with respect to its argument."""
     return substitute_names(parse_expression(_CHAIN_RULES[function]), {"u": value})
 
 
@@ -245,6 +249,7 @@ def _product(left: Tree, right: Tree) -> Tree:
 
 
 def _sum(op: str, left: Tree, right: Tree) -> Tree:
+    """Return a sum or difference without zero terms."""
     return left if right == ZERO else Binary(op, left, right)
 
 
@@ -278,6 +283,7 @@ class _Product:
     below: tuple[Tree, ...] = ()
 
     def times(self, other: _Product) -> _Product:
+        """Return the product with another product."""
         both = Counter(self.above + other.above), Counter(self.below + other.below)
         above, below = both[0] - both[1], both[1] - both[0]
         for root in list(below):
@@ -290,6 +296,7 @@ class _Product:
         )
 
     def inverse(self) -> _Product:
+        """Return the reciprocal of the product."""
         if not self.size:
             raise UsageError("the equations of the part contain a division by zero")
         return _Product(1 / self.size, self.below, self.above)
@@ -305,6 +312,7 @@ class _Product:
 
 
 def _number(value: Fraction | float) -> Number:
+    """Return a number as an expression tree."""
     return Number(f"{float(value):.{_LITERAL_DIGITS}g}")
 
 
@@ -344,6 +352,7 @@ def _sum_of(terms: list[_Product]) -> Tree:
 
 
 def _terms(tree: Tree) -> list[_Product]:
+    """Yield the terms of a sum as products."""
     match tree:
         case Number(value):
             return [_Product(Fraction(value))]
@@ -403,6 +412,7 @@ def _merge_to_product(tree: Tree) -> _Product:
 
 
 def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
+    """Add terms with equal factors."""
     sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
     for term in terms:
         above, below = Counter(term.above), Counter(term.below)
@@ -505,14 +515,17 @@ class _Python(Writer):
     """Writer of expressions in Python syntax."""
 
     def name(self, text: str) -> str:
+        """Return the name of a variable in Python."""
         return f"_{text}"  # a key may be a keyword of Python
 
     def write(self, tree: Tree, level: int = 0) -> str:
+        """Return the text of a tree in Python."""
         if isinstance(tree, Choice):
             return f"where({self.write(tree.test)}, {self.write(tree.yes)}, {self.write(tree.no)})"
         return super().write(tree, level)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """Return a function call in Python."""
         if function == "integral":
             f, x = arguments
             return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"

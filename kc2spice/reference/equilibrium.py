@@ -234,9 +234,8 @@ def solve_operating_point(system: System) -> dict[str, float]:
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the equilibria at ``values`` of a source.
 
-    Each solution starts from the one before.
-
-    Returns arrays over the sweep: ``sweep`` and every name of `solve_operating_point`.
+    Each solution starts from the solution at the previous value. The result contains arrays over
+    the sweep: the values ``sweep``, and all waves of :func:`solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):

@@ -113,11 +113,13 @@ class Radau:
         self._linearise()
 
     def _start(self, t: float, z: np.ndarray) -> None:
+        """Set the state from which the next step begins."""
         self.t, self.z = t, z
         self.g, f = self.interval.at(t, z)
         self.f = np.where(self.rows, f, 0.0)
 
     def _linearise(self) -> None:
+        """Compute the derivatives at the present state."""
         self.M, self.J = self.interval.slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
         # rounding error of a change by Newton's method, relative to the tolerance
@@ -133,6 +135,7 @@ class Radau:
         return min(end - self.t, first)
 
     def _solve(self, right: np.ndarray, which: int) -> np.ndarray:
+        """Solve one of the two linear systems of a stage."""
         if np.iscomplexobj(self.lu[which][0]):
             return np.asarray(lapack.zgetrs(*self.lu[which][:2], right)[0])
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
@@ -159,6 +162,7 @@ class Radau:
         return self._newton_change(_MACHINE_EPSILON * sizes * signs)
 
     def _factor(self, h: float) -> None:
+        """Factorise the matrices for a step length."""
         if h == self.h_lu:
             return
         self.lu = (
@@ -261,6 +265,7 @@ class Radau:
 
 
 def _norm(x: np.ndarray) -> float:
+    """Return the root of the mean square."""
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 

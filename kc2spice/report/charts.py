@@ -152,6 +152,7 @@ def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
 
 
 def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
+    """Return the panel with its scale times a factor."""
     return replace(
         panel,
         x=label,
@@ -267,6 +268,7 @@ def _finite_range(values: np.ndarray) -> Range:
 
 
 def _range_x(panel: Panel) -> Range:
+    """Return the range of the scale of a panel."""
     if panel.span is not None:
         return panel.span
     if panel.map is not None:
@@ -275,6 +277,7 @@ def _range_x(panel: Panel) -> Range:
 
 
 def _range_y(panel: Panel) -> Range:
+    """Return the range of the values of a panel."""
     if panel.map is not None:
         return _widen_range(_cell_edges(panel.map.y, panel.log_y))
     return _widen_range(_finite_range(_y_values(panel)))

@@ -145,5 +145,6 @@ def _stack_nets(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
 
 
 def _overlaps(span: tuple[float, float], others: Iterable[tuple[float, float]]) -> bool:
+    """Return whether two ranges overlap."""
     low, high = span
     return any(low <= end and start <= high for start, end in others)

@@ -155,6 +155,7 @@ def _respond(model: LinearModel, parts: GivenTemperatures, frequency: np.ndarray
 
 
 def _solve(matrix: sparse.csc_array | np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a dense or a sparse linear system."""
     if isinstance(matrix, np.ndarray):
         return np.asarray(np.linalg.solve(matrix, right))
     return np.asarray(splu(sparse.csc_array(matrix)).solve(right.astype(complex)))

@@ -33,9 +33,11 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def box(self) -> dict[str, ParameterAxis]:
+        """Axis of each parameter by its name."""
         return {axis.name: axis for axis in self.terms.axes}
 
     def at(self, values: Values) -> LinearModel:
+        """Return the model at values of all parameters."""
         require_within(self.terms.axes, values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
         products = polynomials(x, self.exponents)[0]

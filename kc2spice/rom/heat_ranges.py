@@ -314,6 +314,7 @@ class _Basis:
         self.columns.append(change / np.where(size > 0, size, 1.0))
 
     def _norms(self, columns: np.ndarray) -> np.ndarray:
+        """Return the energy norms of columns."""
         squares = np.einsum("ij,ij->j", columns, self.conductance @ columns)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 

@@ -101,6 +101,7 @@ def _read_symmetry(rows: int, columns: int, symmetry: str) -> int:
 def _read_coordinates(
     rows: int, columns: int, symmetry: str, table: np.ndarray, value: np.ndarray
 ) -> Matrix:
+    """Return the matrix of a 'coordinate' file."""
     row, column = parse_indices(table[:, 0], rows), parse_indices(table[:, 1], columns)
     matrix = sparse.csc_array((value, (row, column)), shape=(rows, columns))
     if symmetry == "general":
@@ -112,6 +113,7 @@ def _read_coordinates(
 
 
 def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+    """Return the matrix of an 'array' file."""
     if symmetry == "general":
         return values.reshape(columns, rows).T.copy()
     skew = symmetry != "symmetric"

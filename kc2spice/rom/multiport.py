@@ -266,6 +266,7 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
+    """Return the frequency response of state-space matrices."""
     return explicit_pencil(*model).transfer(2j * np.pi * f)
 
 

@@ -436,6 +436,7 @@ class Pencil:
         return self._part(slice(self.free, None), 0)
 
     def _part(self, q: slice, free: int) -> Pencil:
+        """Return the pencil of selected unknowns."""
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 

@@ -66,6 +66,7 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
+        """Return the modes that decouple the pencil, None without them."""
         return self._prescribed_modes or _decouple(self.core)
 
     @cached_property
@@ -153,6 +154,7 @@ class Response:
 
     @cached_property
     def _poles(self) -> np.ndarray:
+        """Return the poles of the pencil [1/s]."""
         return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property

@@ -139,6 +139,7 @@ class _Search:
         return self.error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
+        """Reduce the model with viscous damping."""
         # the damping is nowhere in the band larger than the structural damping
         beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = with_viscous_loss(self.full, beta)

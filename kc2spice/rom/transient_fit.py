@@ -162,6 +162,7 @@ def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.nd
 def _residual(
     samples: StepSamples, resistance: np.ndarray, constants: np.ndarray, start: float
 ) -> np.ndarray:
+    """Return the weighted residuals of a network."""
     value = start + step_basis(samples.time, constants) @ resistance
     return np.asarray(samples.weight * (value - samples.value))
 

@@ -106,6 +106,7 @@ class Varying(ParameterPolynomials, ModelOverRanges):
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def at(self, values: Values) -> LinearModel:
+        """Return the resonators at values of all parameters."""
         T = self.products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()

@@ -150,7 +150,7 @@ def _name_frame(frame: ShakenFrame | None) -> str:
 def _require_inertial_force(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
-    """Reject a part whose inertia lacks the force of its frame; warn if this is unknown."""
+    """Reject a part that needs the inertia force of its frame and has no pin for it."""
     if shaken:
         return
     for pin in _moving_pins(part, scene):

@@ -74,6 +74,7 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
     """Return the force waveforms [N] that parts exert at their pins."""
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
+        """Return the forces of all parts."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():

@@ -520,7 +520,7 @@ class Frame(Section):
         lt=1,
         description=(
             "Largest relative error of every metric; the run refines the numerical settings "
-            "without a value in the scene until it is reached"
+            "without a value in the scene until all errors are below this value"
         ),
     )
     analysis: Analysis = Analysis()

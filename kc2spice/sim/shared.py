@@ -230,6 +230,7 @@ class Library:
         self._loop = self.broken = None
 
     def _command(self, text: str) -> bool:
+        """Send a command to ngspice; return whether it succeeded."""
         return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
 
     # -- callbacks of ngspice ------------------------------------------------------------------
@@ -248,11 +249,13 @@ class Library:
         return guarded
 
     def _on_text(self, text: bytes, *_: object) -> int:
+        """Record a line that ngspice prints."""
         line = text.decode(errors="replace")
         self.log += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0
 
     def _on_exit(self, *_: object) -> int:
+        """Record that ngspice has ended."""
         self.dead = True
         return 0
 

@@ -160,6 +160,7 @@ def _describe_poles(block: np.ndarray) -> str:
 
 
 def _describe_pole(pole: complex) -> str:
+    """Return a pole or a pole pair in words."""
     if pole.imag > 0:
         size = abs(pole)
         return f"{size / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / size:.6g}"

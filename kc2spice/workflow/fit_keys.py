@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._box import VariedKey, make_varied, number_of
+from kc2spice.parts.bodies._box import VariedKey, make_varied_key, number_of
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.grid import parse_value
 
@@ -46,7 +46,7 @@ def read_varied_keys(
         value, unit = number_of(scene.part(part, where=part), key, key)
         factor = LOSS_RANGE if _LOSS_KEY.search(key) else VALUE_RANGE
         span = (_parse_range(key, limits) if limits else span) or (value / factor, value * factor)
-        result.append(make_varied(key, unit, value, span))
+        result.append(make_varied_key(key, unit, value, span))
     for name, count in Counter(map(attrgetter("key"), result)).items():
         if count > 1:
             raise UsageError(

@@ -39,6 +39,7 @@ def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:
+    """Return the rms value of a noise density over the band."""
     return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from support import (
+    ContactForce,
     Declaration,
     DeclaredLaw,
     LinearModel,
-    Normal,
     Port,
     Section,
     SimulationError,
@@ -29,7 +29,7 @@ from support import laws as L
 
 def touching(name: str, stiffness: float) -> DeclaredLaw:
     """A spring that pin ``a`` closes upwards against pin ``b``."""
-    stated = declare_contact(("a",), (0.0,), Normal(stiffness), rigid=(False, False))
+    stated = declare_contact(("a",), (0.0,), ContactForce(stiffness), rigid=(False, False))
     return DeclaredLaw(name, stated, tuple(stated.values(stated.keys()).values()))
 
 

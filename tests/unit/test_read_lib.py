@@ -2,10 +2,10 @@
 
 import pytest
 from support import (
+    ContactForce,
     Control,
     Deck,
     Header,
-    Normal,
     UsageError,
     declare_contact,
     pid_subcircuit,
@@ -16,7 +16,9 @@ from support import (
 from support import declared_subcircuit as declared
 
 HEADER = Header("test", "0")
-CONTACT = declare_contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.0, 5e-5)))
+CONTACT = declare_contact(
+    ("ring0", "ring1"), (0.0, 5e-5), ContactForce(4e8), under=(1e-3, (0.0, 5e-5))
+)
 
 
 @pytest.mark.parametrize(

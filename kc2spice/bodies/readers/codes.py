@@ -163,6 +163,7 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
 
 
 def _parse_dofs(data: bytes) -> raw.Dofs:
+    """Return the nodes and degrees of freedom of a ``.dof`` file."""
     words = data.split()
     if not 0 < len(words) <= raw.MAX_ROWS:
         raise ValueError(f"{len(words)} rows")
@@ -175,6 +176,7 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
+    """Return the entries of one triangle of a CalculiX file."""
     values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
         raise ValueError(f"{values.size} numbers do not fill 3 columns; the file may be truncated")
@@ -451,6 +453,7 @@ def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
 
 
 def _split_fields(line: str) -> list[str]:
+    """Split a line into the fields of bulk data."""
     if "," in line:
         cells = line.split(",")[1:9]
         return cells + [""] * (8 - len(cells))
@@ -459,6 +462,7 @@ def _split_fields(line: str) -> list[str]:
 
 
 def _parse_component(text: str) -> int:
+    """Return the number of a component, 0 for a blank field."""
     value = int(text.strip() or 0)
     if not 0 <= value <= 6:
         raise ValueError(f"component {value}")

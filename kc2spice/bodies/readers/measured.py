@@ -269,6 +269,7 @@ def _read_text(path: Path) -> str:
 
 
 def _require_no_shunt(shunt: float | None, content: str) -> None:
+    """Reject a shunt for a file that states an impedance."""
     if shunt is None:
         return
     raise UsageError(

@@ -483,6 +483,7 @@ def drop_zero_imaginary(matrix: Any) -> Any:
 
 
 def _select_fields(value: Any, name: str) -> dict[str, Any]:
+    """Return the fields of a struct of COMSOL by their letters."""
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}

@@ -136,6 +136,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
 
 
 def _parse_dof(value: object) -> int:
+    """Return the number of a degree of freedom from its name."""
     code = DOF_NUMBERS.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
         expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
@@ -145,6 +146,7 @@ def _parse_dof(value: object) -> int:
 
 
 def _parse_axis(value: object) -> object:
+    """Return the vector of the axis x, y or z."""
     return _AXIS_VECTORS.get(value, value) if isinstance(value, str) else value
 
 

@@ -144,6 +144,7 @@ def _split_fields(line: str, separator: str | None) -> list[str]:
 
 
 def _is_number(word: str) -> bool:
+    """Return whether a word is a number, with a decimal comma or complex."""
     plain = word.replace(",", ".", 1).replace("\u2212", "-")
     return bool(
         _NUMBER_PATTERN.fullmatch(plain)
@@ -268,6 +269,7 @@ def _find_titles(
 
 
 def _is_unit(word: str) -> bool:
+    """Return whether a word is a unit."""
     try:
         return bool(parse_units(word.strip("()[]")))
     except ValueError:

@@ -92,6 +92,7 @@ def read_transient(path: Path) -> ThermalTransient:
 
 
 def _has_time(table: TextTable) -> bool:
+    """Return whether a table has a column of times."""
     if table.titles is None:
         return False
     quantities = classify_columns(table.titles, table.numbers).by_quantity

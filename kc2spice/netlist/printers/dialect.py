@@ -145,7 +145,7 @@ class Dialect(Printer, ABC):
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
-            case ".print":  # cards of ngspice only; a dialect prints the vectors of .save
+            case ".print":  # a card of ngspice; other simulators print the vectors of .save
                 return ""
             case ".options" | ".option" | ".opt":
                 return self.options(item.words)

@@ -155,6 +155,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return bool(getattr(part.keys, "closed", False))
 
     def ends(self, part: Part[DuctKeys]) -> tuple[str, ...]:
+        """Return the pins of the ends that are open."""
         return ("a",) if self.closed(part) else ("a", FAR_END)
 
     def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
@@ -262,6 +263,7 @@ class DuctPart(AcousticPart[DuctKeys]):
     # --- the far end ------------------------------------------------------------------------------
 
     def further_cards(self, part: Part[DuctKeys]) -> Iterator[Item | str]:
+        """Yield the card of the meter at the far end."""
         if not self.closed(part):
             yield "* volume velocity out of the far end"
             yield Element.of(FAR_METER, "out", FAR_END, "0")
@@ -435,6 +437,7 @@ stop = "3 kHz"
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
     def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+        """Return the stated number of sections, or a number for the band."""
         stated = part.with_schema(TubeKeys).keys.sections
         return stated or min(self._wanted_sections(part, scene), MOST_SECTIONS)
 

@@ -120,6 +120,7 @@ stop = "20 kHz"
 """
 
     def ends(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
+        """Return the pin of the surface."""
         return (FACE,)
 
     def paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
@@ -163,6 +164,7 @@ stop = "20 kHz"
         )
 
     def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
+        """Yield the cards of the sound pressure at the reference distance."""
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
             "its travel time"

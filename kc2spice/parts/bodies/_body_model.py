@@ -141,6 +141,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
+        """Return the data that determine the reduced model, as a key of the cache."""
         rom = reduction_target(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -202,6 +203,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 return self.reduce_ranges(part, task)
 
         def load() -> ModelOverRanges:
+            """Build the reduced model over the ranges, or read it from the cache."""
             classes = (*self.range_classes, ParameterAxis, Certificate, Port)
             return load_or_build("box", key, build, classes=classes, sources=self.sources())
 
@@ -321,6 +323,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         )
 
         def make() -> Orders:
+            """Return the reductions of the full model."""
             return Orders(self._full_model(part, scene, clock))
 
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
@@ -444,5 +447,6 @@ def hash_file(path: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _content(path: Path, size: int, changed: int) -> str:
+    """Return the content of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -192,6 +192,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 def _require_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
+    """Raise an error if ports are missing."""
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 

@@ -70,7 +70,7 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
         value, unit = number_of(part, key, where)
         low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
         zero = part.type.ranges_from_zero  # type: ignore[attr-defined]
-        result.append(make_varied(key, unit, value, (low, high), f"{where}.{key}", zero))
+        result.append(make_varied_key(key, unit, value, (low, high), f"{where}.{key}", zero))
     return tuple(result)
 
 
@@ -84,7 +84,7 @@ def range_middles(keys: Iterable[VariedKey]) -> dict[str, float]:
     return {item.key: item.axis.middle for item in keys}
 
 
-def make_varied(
+def make_varied_key(
     key: str,
     unit: str,
     value: float,

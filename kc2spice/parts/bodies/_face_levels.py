@@ -181,6 +181,7 @@ def list_level_effects(name: str, port: str, levels: FaceLevels) -> Iterator[Neg
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def effect(of: str, assumption: str, size: str) -> Neglected:
+        """Return a neglected effect with its size."""
         return Neglected(f"{name}: {of}", assumption, size, summarised=True)
 
     shape = f"{levels.power:+.1f} dB of power at {place}"

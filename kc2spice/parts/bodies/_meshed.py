@@ -316,6 +316,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def varied(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
+        """Return the full model on the displaced mesh of a part with other values."""
         body = replace(self.sounding(part, scene), like=self.bonded(like))
         return body.device().model
 
@@ -376,6 +377,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 @lru_cache(maxsize=32)
 def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
+    """Return the blocks of a body from the JSON text of its keys."""
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 

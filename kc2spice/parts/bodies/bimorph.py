@@ -131,9 +131,11 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     length, width, top = beam.length, beam.width, heights[-1]
 
     def plane(height: float) -> Box:
+        """Return a plane of the beam at a height."""
         return (0.0, length), (0.0, width), (height, height)
 
     def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
+        """Return a cross-section of the beam at a position."""
         return (x, x), y, z
 
     # electrodes from the bottom up; faces of one conductor, or of two ceramics in contact, are one

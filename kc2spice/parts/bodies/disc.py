@@ -176,10 +176,12 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
 
 
 def _face(inner: float, outer: float, height: float) -> Box:
+    """Return a ring at a height."""
     return (inner, outer), (height, height)
 
 
 def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
+    """Return the blocks of all layers."""
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
@@ -251,6 +253,7 @@ def _electrode_faces(
 
 
 def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
+    """Return the fixed axes of the support."""
     if disc.support == "free":
         return []
     if isinstance(disc.support, Node):
@@ -284,6 +287,7 @@ class Disc(BondedBody[DiscKeys]):
         node: float | None,
         changes: Iterable[float],
     ) -> tuple[float, list[FiniteElementModel]] | None:
+        """Return the diameter of the supporting ring, and models on other rings."""
         keys, faces = part.keys, self.sounding(part, scene).faces
         diameter = node if keys.support == "free" else None
         if isinstance(keys.support, Node):
@@ -298,6 +302,7 @@ class Disc(BondedBody[DiscKeys]):
         return diameter, devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
+        """Return whether the rim of the disc is supported."""
         return part.keys.support != "free"
 
 

@@ -322,6 +322,7 @@ dc = "1 W"
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
+        """Return the data that determine the reduced model, as a key of the cache."""
         chosen = self._stated_reduction(part, scene) is None and not scene.analysis.small
         return {**super().model_key(part, scene), "limited": chosen}
 

@@ -175,6 +175,7 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     def add(
         piece: Piece, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
+        """Add a piece to the list of blocks."""
         one = material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
         poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)

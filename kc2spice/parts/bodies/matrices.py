@@ -94,6 +94,7 @@ class Matrices(LinearBody[MatricesKeys]):
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
+        """Return the model of the files of a part."""
         return _read(*self._source(part, scene), str(self._stamps(part, scene)))
 
     def _source(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Path, Path | None]:
@@ -109,6 +110,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
+    """Read a model from its files."""
     return read_model(path, sidecar)
 
 

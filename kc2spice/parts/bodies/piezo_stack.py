@@ -284,6 +284,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[Stack]) -> str:
+        """Return the first line of the library, with the mounting."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def rated_by_material(self, part: Part[Stack]) -> float:
@@ -514,6 +515,7 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 
 
 def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
+    """Return the local compliance of a stack, built or from the cache."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})

@@ -86,15 +86,18 @@ def _declare(count: int, rows: int) -> Declaration:
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
+        """Return the index of a patch, mirrored at a clamp."""
         if k < 1:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
     def w(i: int, j: int) -> str:
+        """Return the mean deflection of a patch, mirrored at the clamps."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
     def slope(i: int, j: int, di: int, dj: int) -> str:
+        """Return the slope between two patches."""
         before, low, high, after = (w(i + k * di, j + k * dj) for k in (-1, 0, 1, 2))
         return f"(15*({high} - {low}) - ({after} - {before}))^2"
 

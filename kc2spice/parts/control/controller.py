@@ -145,6 +145,7 @@ wiring = "parallel"
             sources[name] = build.net(part, name), build.across(part, name).factor
 
         def load() -> Callable[[float, Mapping[str, float]], float]:
+            """Return the function of time and node voltages."""
             function = build.functions.get(part.name) or self._function(part, build)
 
             def call(time: float, values: Mapping[str, float]) -> float:
@@ -158,6 +159,7 @@ wiring = "parallel"
         }
 
     def _function(self, part: Part[ControllerKeys], build: Build) -> Function:
+        """Return the Python function of the controller."""
         keys = part.keys
         if keys.file is None:
             expected = (

@@ -87,6 +87,7 @@ def fit_ladder(
         start.append(np.log([high / 3, low * band[0] / 3]))
 
     def terms(x: np.ndarray) -> np.ndarray:
+        """Return the terms of the ladder at logarithms of its coefficients."""
         weight, corner = np.exp(x[:count]), np.exp(x[count : 2 * count])
         columns = [weight * corner / (s[:, None] + corner)]
         if ends:

@@ -79,6 +79,7 @@ class StatedValues:
     # --- equations --------------------------------------------------------------------------------
 
     def _logarithm(self, key: str, x: np.ndarray) -> float:
+        """Return the logarithm of a value at logarithms of the unknowns."""
         unknowns = np.exp(np.clip(x, -LARGEST_LOGARITHM, LARGEST_LOGARITHM))
         value = self.relations[key](unknowns)
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
@@ -91,6 +92,7 @@ class StatedValues:
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _residual(self, key: str, x: np.ndarray) -> float:
+        """Return the difference of a value to the stated value, as logarithm."""
         return self._logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
@@ -118,10 +120,12 @@ class StatedValues:
         return np.asarray(result.x)
 
     def _without(self, key: str) -> StatedValues:
+        """Return the values of the data sheet without one key."""
         stated = {other: value for other, value in self.stated.items() if other != key}
         return replace(self, stated=stated)
 
     def _rank(self, x: np.ndarray, *more: str) -> int:
+        """Return the number of unknowns that the values determine."""
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 
@@ -230,6 +234,7 @@ class StatedValues:
                 )
 
     def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
+        """Return the difference of a value between two circuits, as logarithm."""
         return self._logarithm(key, x) - self._logarithm(key, y)
 
     def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
@@ -240,6 +245,7 @@ class StatedValues:
         return dict(zip(self.stated, self._gradient(key, x) @ solution, strict=True))
 
     def _contradiction(self, key: str, other: str) -> UsageError:
+        """Return the error of two values that contradict each other."""
         implied = {name: self._without(name) for name in (key, other)}
         texts = {
             name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))

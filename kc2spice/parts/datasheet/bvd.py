@@ -173,6 +173,7 @@ stop = "10 kHz"
             )
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
+        """Return the elements of the resonator from its data sheet."""
         keys, modes = part.keys, self._mode_count(part)
         stated: dict[str, float] = {}
         for name in MODE_VALUES:
@@ -228,6 +229,7 @@ stop = "10 kHz"
                 )
 
     def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
+        """Return the parameters and the equations of the netlist."""
         keys, modes = part.keys, len(circuit.fs)
         ends, params, constants = mode_suffixes(modes), list[Param](), dict[str, str]()
         level = "c0" if keys.c_low is None else "c_low"

@@ -90,6 +90,7 @@ scale = "linear"
 """
 
     def resonator(self, part: Part[CrystalKeys]) -> Resonator:
+        """Return the elements of the crystal from its data sheet."""
         keys = part.keys
         stated = {key: v for key in CRYSTAL_UNITS if (v := getattr(keys, key)) is not None}
         c1 = keys.c1 or START_RATIO * keys.c0
@@ -103,6 +104,7 @@ scale = "linear"
         return Resonator.from_unknowns(values.solve())
 
     def netlist(self, part: Part[CrystalKeys], circuit: Resonator) -> ResonatorNetlist:
+        """Return the parameters and the equations of the netlist."""
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
         words = "frequency with the load cl" if loaded else "series resonance"

@@ -203,6 +203,7 @@ stop = "1 kHz"
         return driver
 
     def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
+        """Return the parameters of a part of a resolved scene."""
         record = scene.record(part)
         if record is None or not isinstance(record.detail, SpeakerParameters):
             return self.solve(part)

@@ -86,6 +86,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[Numerics]:
+        """Yield the tolerances that a transient of the diode needs."""
         if scene.analysis.type != "transient":
             change = "1e-9", "change at which Newton's method stops: exponential laws"
             yield Numerics(part.name, options={"reltol": change})

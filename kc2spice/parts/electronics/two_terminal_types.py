@@ -162,9 +162,11 @@ class LinearElement(DeclaredPart[KeysT]):
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
+        """Return the value of an expression of the keys."""
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+        """Return whether the element has a pin of heat, and so is a subcircuit."""
         return is_heated(part, scene)
 
     def subcircuits(

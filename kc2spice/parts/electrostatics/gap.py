@@ -192,6 +192,7 @@ class Gap(PatchedPart[GapKeys]):
     def _with_branches(
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
+        """Return the declaration of a gap with the branches of its film."""
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
@@ -416,6 +417,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
 
 
 def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, str, str]]:
+    """Yield the effects that a gap neglects."""
     if keys.fringing is None:
         yield "fringing field", "no key fringing", "of the order of gap / width"
     if keys.film is None:

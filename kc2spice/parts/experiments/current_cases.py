@@ -190,10 +190,12 @@ def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveform
 
 
 def _coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
+    """Return the coils of the experiment."""
     return scene.partner(part, "ring_magnet_coils").with_schema(Coils)
 
 
 def _sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
+    """Return the name of the sphere of the experiment."""
     return sphere_of(_coils(part, scene), scene).name
 
 

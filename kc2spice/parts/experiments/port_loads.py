@@ -250,6 +250,7 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
 
 
 def _rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
+    """Return the names of the loaded rings."""
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 

@@ -166,6 +166,7 @@ def _eddy_names(count: int) -> list[str]:
 
 
 def _branches(keys: Moving, loops: int) -> tuple[Branch, ...]:
+    """Return the branches of the coils and of the motion."""
     coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
 
@@ -179,6 +180,7 @@ def _declare(
     reach: str = "",
     **physics: Any,
 ) -> Declaration:
+    """Declare the body with its loops."""
     limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
         kind.name,

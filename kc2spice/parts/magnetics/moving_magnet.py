@@ -110,6 +110,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         rings: int,
         frequency: float,
     ) -> Ladder:
+        """Return the couplings of the coils with the magnet."""
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)

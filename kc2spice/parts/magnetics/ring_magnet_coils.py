@@ -379,6 +379,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return result
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+        """Return the force on the sphere at ``v``, computed from height and currents."""
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}

@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.parts.electronics.source import SourceKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.physics.contact import Normal
+from kc2spice.physics.contact import ContactForce
 from kc2spice.scene.model import (
     GROUND,
     GovernedScene,
@@ -152,6 +152,7 @@ class Pair:
         return self._side("b", spherical=True)
 
     def _side(self, key: str, *, spherical: bool) -> Surface:
+        """Return the surface of one side of the contact."""
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
@@ -227,7 +228,7 @@ class Pair:
     # --- the law ----------------------------------------------------------------------------------
 
     @cached_property
-    def normal(self) -> Normal:
+    def normal(self) -> ContactForce:
         """Return the contact law of the whole device at each port.
 
         A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
@@ -246,7 +247,7 @@ class Pair:
             first, *_ = result.coefficients
             curve = tuple(np.divide(result.coefficients, first).tolist())
             stiffness, of = first / result.depth**1.5, (result.depth, pace, self.b.radius)
-            return Normal(stiffness, 1.5, *along, curve, *of)
+            return ContactForce(stiffness, 1.5, *along, curve, *of)
         value, power = self.a.sectors * float(keys.penalty), 1.0
         if keys.law == "hertz":
             spherical = [1 / side.radius for side in (self.a, self.b) if side.radius is not None]
@@ -259,7 +260,7 @@ class Pair:
         if (s := self.flank) is not None:
             value *= 2 * s ** (1 + power)
             along = s * keys.damping, keys.friction / s, keys.creep
-        return Normal(value, power, *along)
+        return ContactForce(value, power, *along)
 
     @property
     def flank(self) -> float | None:

@@ -26,7 +26,7 @@ from kc2spice.parts.mechanics._touching import (
 )
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node, meter_name
-from kc2spice.physics.contact import SPACING_NOTE, Normal, declare_contact
+from kc2spice.physics.contact import SPACING_NOTE, ContactForce, declare_contact
 from kc2spice.physics.loss_heat import heat_vectors
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
@@ -91,7 +91,7 @@ class Contact(DeclaredPart[ContactKeys]):
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
-        law = Normal(1.0, damping=part.keys.damping, friction=part.keys.friction)
+        law = ContactForce(1.0, damping=part.keys.damping, friction=part.keys.friction)
         d = self._with_heat_pin(_declare(make_pair(part, scene), law), part, scene)
         ends = {"rail": "gnd", "base": "gnd", AMBIENT: "gnd"}
         return tuple(
@@ -300,10 +300,11 @@ class Contact(DeclaredPart[ContactKeys]):
 
 def _declare(
     pair: Pair,
-    law: Normal,
+    law: ContactForce,
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
 ) -> Declaration:
+    """Declare the contact of both sides."""
     ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
     carried, gaps = INDENTATION_PIN if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
@@ -316,6 +317,7 @@ def _sum_factors(pair: Pair) -> dict[str, float]:
 
 
 def _check_pressure(pair: Pair) -> Iterator[UsageError]:
+    """Yield the errors of a contact with a pressure basis."""
     part, a, b = pair.part, pair.a, pair.b
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:

@@ -186,6 +186,7 @@ elastic = true
 
 
 def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIsotropicSphere:
+    """Return the elastic sphere with its radius and material."""
     from kc2spice.bodies.pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)

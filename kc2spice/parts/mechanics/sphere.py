@@ -322,6 +322,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
     def initial_motion(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
+        """Return the position [m] and velocity [m/s] at t = 0."""
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
             return None

@@ -75,6 +75,7 @@ class BalancedTruncation(Reductor):
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
+        """Return the balanced basis of a task, None without Gramians."""
         rows, columns = balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))

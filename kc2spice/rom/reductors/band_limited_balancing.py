@@ -62,6 +62,7 @@ class BandLimitedBalancing(Reductor):
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
+        """Return the balanced basis from samples of the response."""
         estimator, response = task.estimator, task.first_order
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
         frequency, (H, entries) = estimator.frequency[::step], estimator.reference

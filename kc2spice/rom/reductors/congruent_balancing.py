@@ -61,6 +61,7 @@ class CongruentBalancing(Reductor):
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
+        """Return the eigenvectors of the Gramian of a task."""
         core = task.core
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)

@@ -100,6 +100,7 @@ class RowStore:
         self._write_row(point, outcome)
 
     def _write_row(self, point: int, outcome: PointResult) -> None:
+        """Write one row into the database."""
         self.outcomes[point] = outcome
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
@@ -156,6 +157,7 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
 
 
 def _csv_cell(value: Any) -> str | None:
+    """Return a value as the text of a CSV cell."""
     if isinstance(value, str):
         return quote_csv_cell(value)
     return None if value is None else format_toml(value)
