@@ -3,9 +3,9 @@
 import device
 import pytest
 from support import (
+    ContactForce,
     Control,
     Header,
-    Normal,
     SphereKeys,
     coils_subcircuit,
     declare_contact,
@@ -49,7 +49,7 @@ def parts(header, model, radii, table):
     made = (
         subcircuit(model.linear(), "kick", header),
         declared(header, "sphere", rigid_sphere(ball.mass, ball.radius, 9.81), {}),
-        declared(header, "contact", declare_contact(rings, gaps, Normal(4e8)), {}),
+        declared(header, "contact", declare_contact(rings, gaps, ContactForce(4e8)), {}),
         coils_subcircuit(header, table, "catch", apart=False, points=81),
         coils_subcircuit(header, table, points=81),
         opamp_subcircuit(header),

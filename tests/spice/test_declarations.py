@@ -14,8 +14,8 @@ from networks import FUNCTIONS, H, Network
 from support import TWO_TERMINAL_TABLE as TABLE
 from support import (
     Build,
+    ContactForce,
     Header,
-    Normal,
     contact,
     declared_subcircuit,
     dialect_names,
@@ -295,9 +295,10 @@ def test_the_cards_of_a_mass_are_its_motion(name, dialect):
 GAPS = (0.0, 2e-7)
 CURVE = (1.0, 0.2, -0.1, 0.1, 0.0, 0.1)
 NORMALS = {
-    "linear": Normal(4e8), "hertz": Normal(1e10, 1.5), "damped": Normal(1e7, damping=0.5),
-    "dry": Normal(1e10, 1.5, damping=0.5, friction=0.3, creep=1e-3),
-    "pressure": Normal(1e9, 1.5, curve=CURVE, depth=1e-5, pace=1e-8, radius=1e-3),
+    "linear": ContactForce(4e8), "hertz": ContactForce(1e10, 1.5),
+    "damped": ContactForce(1e7, damping=0.5),
+    "dry": ContactForce(1e10, 1.5, damping=0.5, friction=0.3, creep=1e-3),
+    "pressure": ContactForce(1e9, 1.5, curve=CURVE, depth=1e-5, pace=1e-8, radius=1e-3),
 }  # fmt: skip
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pyparsing as pp
 import pytest
 from support import (
+    ContactForce,
     Deck,
     Header,
-    Normal,
     UsageError,
     declare_contact,
     dialect_names,
@@ -160,12 +160,12 @@ def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
             card.parse_string(line)
 
 
-PRESSED = Normal(
+PRESSED = ContactForce(
     1e9, 1.5, curve=(1.0, 0.2, -0.1, 0.1, 0.0, 0.1), depth=1e-5, pace=1e-8, radius=1e-3
 )
 LAWS = {
-    "hertz": Normal(1e9, 1.5), "damped": Normal(1e7, damping=0.5),
-    "hertz, damped": Normal(1e9, 1.5, damping=0.5), "dry": Normal(1e7, friction=0.3),
+    "hertz": ContactForce(1e9, 1.5), "damped": ContactForce(1e7, damping=0.5),
+    "hertz, damped": ContactForce(1e9, 1.5, damping=0.5), "dry": ContactForce(1e7, friction=0.3),
     "pressure": PRESSED,
 }  # fmt: skip
 
