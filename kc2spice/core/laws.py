@@ -80,6 +80,36 @@ class Reading:
         """Return the sum of the waves times their factors, without the constant."""
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
+    def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
+        """Return the values of the result; constants are omitted for small signals.
+
+        ``scale`` are the times [s] or frequencies [Hz] of the waves. The rate of a wave is None if
+        the waves are not small signals.
+        """
+        value = self.combine(waves)
+        if not np.iscomplexobj(value):
+            return None if self.rate else np.asarray(value + self.constant)
+        s = 2j * np.pi * scale
+        if self.rate:
+            return np.asarray(s * low_pass(s, self.corner) * value)
+        return np.asarray(value / s) if self.charge else value
+
+
+def evaluate_readings(
+    readings: Mapping[str, Reading], waves: Mapping[str, np.ndarray], scale: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the results whose waves are all in ``waves``.
+
+    ``scale`` are the times [s] or frequencies [Hz] of the waves.
+    """
+    result = {}
+    for name, item in readings.items():
+        if waves.keys() >= {*item.waves}:
+            value = item.evaluate(waves, scale)
+            if value is not None:
+                result[name] = value
+    return result
+
 
 def low_pass(s: np.ndarray, corner: float) -> np.ndarray:
     """Return the response of a low pass of second order, ``1 / (1 + sqrt(2) s / w + (s / w)^2)``.

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
-import numpy as np
-
 from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import (
     GROUND,
@@ -21,7 +19,6 @@ from kc2spice.core.laws import (
     PortBody,
     Reading,
     SecondOrderBody,
-    low_pass,
     sensor_block,
 )
 
@@ -75,35 +72,6 @@ class Network:
                 sweeps[key] = source
         laws = tuple(law for law in self.laws if law.name in names)
         return Network(laws, joins, readings, sweeps)
-
-    def results(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the results whose waves are all in ``waves``.
-
-        ``scale`` are the times [s] or frequencies [Hz] of the waves.
-        """
-        result = {}
-        for name, item in self.readings.items():
-            if waves.keys() >= {*item.waves}:
-                value = _evaluate_reading(item, waves, scale)
-                if value is not None:
-                    result[name] = value
-        return result
-
-
-def _evaluate_reading(
-    item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray
-) -> np.ndarray | None:
-    """Return the values of one result; constants are omitted for small signals.
-
-    The rate of a wave is None if the waves are not small signals.
-    """
-    value = item.combine(waves)
-    if not np.iscomplexobj(value):
-        return None if item.rate else np.asarray(value + item.constant)
-    s = 2j * np.pi * scale
-    if item.rate:
-        return np.asarray(s * low_pass(s, item.corner) * value)
-    return np.asarray(value / s) if item.charge else value
 
 
 def split_networks(

@@ -99,16 +99,15 @@ class DeclaredPart(PartType[KeysT]):
         return self._with_heat_pin(self.declared(part, scene), part, scene)
 
     def resolved_built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """Declaration of a part whose model may be built, with the pin of heat if it is joined."""
-        return self._with_heat_pin(self.built_declaration(part, build), part, build.scene)
+        """Declaration of a part whose model may be built, with the pin of heat if it has one."""
+        declaration = self.built_declaration(part, build)
+        heated = (part.name, HEAT) in build.scene.terminals
+        return _attach_heat_pin(declaration, part) if heated else declaration
 
     def _with_heat_pin(
         self, declaration: Declaration, part: Part[KeysT], scene: DeclaredScene
     ) -> Declaration:
-        if not is_heated(part, scene) or not declaration.offers_heat_pin:
-            return declaration
-        coefficient, reference = conductor_values(part.keys)
-        return declaration.with_heat_pin(coefficient, reference)
+        return _attach_heat_pin(declaration, part) if is_heated(part, scene) else declaration
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -261,6 +260,14 @@ class DeclaredPart(PartType[KeysT]):
     def neglected(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the effects that the declaration of a part neglects."""
         yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+
+
+def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
+    """Return a declaration with the pin of heat, unchanged if it offers no such pin."""
+    if not declaration.offers_heat_pin:
+        return declaration
+    coefficient, reference = conductor_values(part.keys)
+    return declaration.with_heat_pin(coefficient, reference)
 
 
 def _check_limits(

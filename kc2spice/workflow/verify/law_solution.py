@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import scaled_wave
+from kc2spice.core.laws import evaluate_readings, scaled_wave
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.replay import select_networks_to_solve
@@ -71,7 +71,7 @@ def solve_laws(
     grid = np.unique(np.concatenate([times, *(run.time for run in results)]))
     data = {"time": grid}
     for network, run in runs:
-        data |= network.results(replace(run, time=grid).waves, grid)
+        data |= evaluate_readings(network.readings, replace(run, time=grid).waves, grid)
     balances = [run.energy for run in results]
     turnover = sum(balance.turnover for balance in balances)
     imbalance = sum(abs(balance.residual) for balance in balances) / turnover if turnover else None
@@ -87,7 +87,9 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
         if build.has_noise:
             data |= _solve_noise(network, build, points)
         else:
-            data |= network.results(_solve_steady_waves(network, build, points), points)
+            data |= evaluate_readings(
+                network.readings, _solve_steady_waves(network, build, points), points
+            )
     return Waveforms(data, {})
 
 
