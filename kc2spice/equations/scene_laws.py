@@ -14,7 +14,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from kc2spice.core.domains import FLOW_SYMBOLS
-from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading
+from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading, SecondOrderBody
 from kc2spice.equations.networks import (
     Network,
     list_pin_kinds,
@@ -69,6 +69,20 @@ class SceneLaws:
     def missing(self) -> tuple[str, ...]:
         """Names of the parts without a law: the whole scene cannot be integrated."""
         return tuple(filterfalse(self.equations.__contains__, self.with_cards))
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether the equations of all parts are known and linear.
+
+        A part without its own cards is ignored, because another part contains a copy of it or
+        moves it.
+        """
+        parts = self.build.scene.parts
+        names = [name for name in self.with_cards if not parts[name].reduced]
+        if not self.stated_equations.keys() >= set(names):
+            return False
+        stated = chain.from_iterable(self.stated_equations[name].laws for name in names)
+        return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)
 
     @cached_property
     def laws(self) -> dict[str, Law]:

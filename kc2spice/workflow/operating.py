@@ -5,17 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.laws import IdealSource, SecondOrderBody
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.checks import Check
-from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
@@ -32,7 +29,7 @@ class OperatingPoint:
     checks: tuple[Check, ...] = ()
 
 
-def find_operating_point(build: Build, deck: Deck) -> OperatingPoint:
+def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
     The result is None for other analyses, for edited decks, and for scenes that contain linear
@@ -40,16 +37,14 @@ def find_operating_point(build: Build, deck: Deck) -> OperatingPoint:
     a warning replaces it.
     """
     scene = build.scene
-    if not scene.analysis.small or deck.text is not None:
-        return OperatingPoint()
-    if is_linear(build):
+    if not scene.analysis.small or deck.text is not None or laws.linear:
         return OperatingPoint()
     # The probes remain, because they determine the pins of a body; this run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     # Pins and models are unchanged, so that films and eddy currents are resolved to the same
-    # frequency.
-    resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
+    # frequency, the end of the range.
+    resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:
         deck_at_rest = make_deck(rebuild_with_scene(build, resolved))
         with TemporaryDirectory() as folder:
@@ -64,16 +59,3 @@ def find_operating_point(build: Build, deck: Deck) -> OperatingPoint:
         checks += part.type.check_operating_point(part, build, point)
     units = {name: deck_at_rest.units[name] for name in values}
     return OperatingPoint(values, units, tuple(checks))
-
-
-def is_linear(build: Build) -> bool:
-    """Whether the equations of all parts are known and linear.
-
-    A part without its own cards is ignored, because another part contains a copy of it or moves it.
-    """
-    laws, parts = scene_laws(build), build.scene.parts
-    names = [name for name in laws.with_cards if not parts[name].reduced]
-    if not laws.stated_equations.keys() >= set(names):
-        return False
-    stated = chain.from_iterable(laws.stated_equations[name].laws for name in names)
-    return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)

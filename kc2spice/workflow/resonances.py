@@ -1,24 +1,23 @@
 """Additional frequencies of small-signal analyses, at resonances, notches and probes.
 
-The input is a build and its deck. The output is the deck with further analyses about each resonance
-that the frequencies of the scene do not resolve. The resonances are the natural frequencies of the
-whole linear circuit, driver and load included; :mod:`kc2spice.reference.small_signal` states its
-equations.
+The input is a command and the laws of its scene. The output is further analyses about each
+resonance that the frequencies of the scene do not resolve. The resonances are the natural
+frequencies of the whole linear circuit, driver and load included;
+:mod:`kc2spice.reference.small_signal` states its equations.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.equations.networks import Network
-from kc2spice.equations.scene_laws import SceneLaws, scene_laws
-from kc2spice.netlist.deck import Command, Deck, with_frequencies
+from kc2spice.equations.scene_laws import SceneLaws
+from kc2spice.netlist.deck import Command, with_frequencies
 from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
@@ -38,8 +37,10 @@ WIDENING_FACTOR = 4.0
 MAX_RESONANCES = 100
 
 
-def with_resonances(deck: Deck, build: Build) -> Deck:
-    """Return ``deck`` with further frequencies near resonances and at positions of probes.
+def list_refinements(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
+    """Return further analyses near resonances and at positions of probes.
+
+    ``command`` is the analysis of the scene.
 
     A probe reads the response at a point of the analysis, because a straight line between two
     points is not a response.
@@ -51,10 +52,11 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
     A warning is printed if a part has no equations, such as a user's netlist. Only the poles of the
     reduced models are then known.
     """
+    build = laws.build
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:
-        return deck
-    resonances = [(f, width) for f, width in _narrow_resonances(build) if width > 0.0]
+        return ()
+    resonances = [(f, width) for f, width in _narrow_resonances(laws) if width > 0.0]
     step = 2 * NARROWEST_HALF_WIDTHS / (RANGE_POINTS - 1)
     narrow = [(f, width) for f, width in resonances if step * width < _frequency_spacing(build, f)]
     if len(narrow) > MAX_RESONANCES:
@@ -63,12 +65,10 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
             f"{MAX_RESONANCES} are resolved; raise analysis.points or use a narrower range",
             stacklevel=2,
         )
-    commands = [
-        with_frequencies(deck.command, place, place, 1) for place in _probe_frequencies(build)
-    ]
+    commands = [with_frequencies(command, place, place, 1) for place in _probe_frequencies(build)]
     for f, width in narrow[:MAX_RESONANCES]:
-        commands += _widening_analyses(deck.command, f, width, build)
-    return replace(deck, refinements=tuple(commands))
+        commands += _widening_analyses(command, f, width, build)
+    return tuple(commands)
 
 
 def _probe_frequencies(build: Build) -> list[float]:
@@ -100,31 +100,42 @@ def _frequency_spacing(build: Build, f: float) -> float:
     return f * math.expm1(math.log(stop / analysis.start) / max(analysis.points - 1, 1))
 
 
-def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
+def _narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
     """Return frequency and half-width [Hz] of resonances and notches in rising order.
 
     The resonances are within the range of the scene. Only notches whose least value a probe reads
     are resolved.
     """
-    analysis, laws = build.scene.analysis, scene_laws(build)
-    poles = np.concatenate([_compute_poles(laws), _compute_zeros(laws)])
+    analysis = laws.build.scene.analysis
+    poles = _find_poles_and_zeros(laws)
     f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
     inside = (poles.imag > 0) & (f > analysis.start) & (f < float(analysis.stop or 0.0))
     rows = {(round(a, 9), round(b, 12)) for a, b in zip(f[inside], width[inside], strict=True)}
     return sorted(rows)
 
 
-def _compute_poles(laws: SceneLaws) -> np.ndarray:
-    """Return the poles [1/s] of the scene's circuits.
+def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
+    """Return the poles of the scene's circuits, and the zeros [1/s] of minima that probes read.
 
-    A circuit without equations contributes the poles of its reduced models.
+    A circuit without equations contributes the poles of its reduced models. Warns if a circuit has
+    no equations, is too large, or has no operating point.
     """
-    result, causes = list[np.ndarray](), [f"{name} has no equations" for name in laws.missing]
+    scene, causes = laws.build.scene, [f"{name} has no equations" for name in laws.missing]
+    of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
+    if scene.analysis.type != "ac":
+        of = set()
+    poles, zeros = list[np.ndarray](), dict[str, np.ndarray]()
     for network in laws.networks:
         try:
-            result.append(_network_poles(network))
+            linear = LinearisedSystem(assemble_system(network.laws, network.joins, MAX_UNKNOWNS))
+            poles.append(linear.poles)
         except (SimulationError, UsageError, np.linalg.LinAlgError) as error:
             causes.append(str(error).splitlines()[0])
+            continue
+        amplitudes = np.array([source.ac for source in linear.system.sources])
+        for name in of & network.readings.keys():
+            with suppress(SimulationError, UsageError, np.linalg.LinAlgError):
+                zeros[name] = linear.zeros(network.readings[name], amplitudes)
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(
@@ -132,55 +143,11 @@ def _compute_poles(laws: SceneLaws) -> np.ndarray:
             f"although the circuit may shift the resonances: {'; '.join(causes)}",
             stacklevel=2,
         )
-        result += [model.poles() for model in models]
-    return np.concatenate([np.zeros(0, complex), *result])
-
-
-def _compute_zeros(laws: SceneLaws) -> np.ndarray:
-    """Return the zeros [1/s] of the responses whose minimum a probe reads.
-
-    Warns if a circuit has no equations, is too large, or has no operating point.
-    """
-    scene, result = laws.build.scene, dict[str, np.ndarray]()
-    of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
-    if not of or scene.analysis.type != "ac":
-        return np.zeros(0, complex)
-    for network in laws.networks:
-        try:
-            result |= _network_zeros(network, of & network.readings.keys())
-        except (SimulationError, UsageError, np.linalg.LinAlgError):
-            continue
-    if unknown := sorted(of if laws.missing else of - result.keys()):
+        poles += [model.poles() for model in models]
+    if unknown := sorted(of if laws.missing else of - zeros.keys()):
         warnings.warn(
             f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
             f"because a part of the circuit has no equations; raise analysis.points",
             stacklevel=2,
         )
-    return np.concatenate([np.zeros(0, complex), *result.values()])
-
-
-def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return the zeros of each response ``of`` a network.
-
-    Raises
-    ------
-    UsageError : the network is too large.
-    SimulationError : the network has no operating point.
-    """
-    if not of:
-        return {}
-    system = assemble_system(network.laws, network.joins, MAX_UNKNOWNS)
-    amplitudes = np.array([source.ac for source in system.sources])
-    linear = LinearisedSystem(system)
-    return {name: linear.zeros(network.readings[name], amplitudes) for name in of}
-
-
-def _network_poles(network: Network) -> np.ndarray:
-    """Return the poles [1/s] of a network.
-
-    Raises
-    ------
-    UsageError : the network is too large.
-    SimulationError : the network has no operating point.
-    """
-    return LinearisedSystem(assemble_system(network.laws, network.joins, MAX_UNKNOWNS)).poles
+    return np.concatenate([np.zeros(0, complex), *poles, *zeros.values()])

@@ -12,30 +12,29 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
+from kc2spice.equations.scene_laws import SceneLaws, scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.powers import add_powers
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
+from kc2spice.sim.engine import Engine
 from kc2spice.sim.ngspice import (
     Outcome,
     RetriesFailedError,
     Share,
-    run_deck,
     run_with_retries,
     write_files,
 )
-from kc2spice.sim.output import join_analyses
 from kc2spice.workflow.metrics import compute_metrics, list_checks
 from kc2spice.workflow.models import model_values, rom_values
-from kc2spice.workflow.operating import OperatingPoint, find_operating_point, is_linear
+from kc2spice.workflow.operating import OperatingPoint, find_operating_point
 
 PARTIAL_WAVES_FILE = "waveforms.partial.npz"
 FAILURE_FILE = "failure.json"
@@ -155,14 +154,16 @@ def simulate_deck(
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
         return replace(result, checks=tuple(checks))
 
-    point = find_operating_point(build, deck)
+    laws = scene_laws(build)
+    engine = choose_engine(laws, deck, directory, progress, timeout)
+    point = find_operating_point(build, deck, laws)
     write_files(deck.files, directory)  # written for every outcome
     shared = bool(build.sampled_sources)
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
         deck,
         directory,
-        lambda tried: run_simulation(build, tried, directory, progress, timeout),
+        engine.run,
         retries=build.scene.solver.retries if retries is None else retries,
         judge=check_waves,
     )
@@ -199,42 +200,34 @@ def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
 def run_simulation(
     build: Build, deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
 ) -> Waveforms:
-    """Run ``deck`` in ngspice, in a separate process in ``directory``.
+    """Run ``deck`` in ngspice, in ``directory``.
 
-    If functions set sources of the scene while it runs, ngspice runs as a library.
-
-    Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
+    Raises as :meth:`kc2spice.sim.engine.Engine.run` does.
     """
-    functions = [item.reset_function for item in build.sampled_sources]
-    if build.scene.analysis.small:
-        # imported here, because the module loads scipy
-        from kc2spice.workflow.resonances import with_resonances
-
-        refined_deck = with_resonances(deck, build)
-        if deck.text is None and is_linear(build):
-            return run_deck(refined_deck, directory, progress, timeout)
-        return _run_each_from_rest(refined_deck, directory, progress, timeout)
-    if not functions:
-        return run_deck(deck, directory, progress, timeout)
-    from kc2spice.sim.shared import run_shared
-
-    return run_shared(deck, functions, progress)
+    return choose_engine(scene_laws(build), deck, directory, progress, timeout).run(deck)
 
 
-def _run_each_from_rest(
-    deck: Deck, directory: Path, progress: Share, timeout: float | None
-) -> Waveforms:
-    """Return the points of all analyses of ``deck``, each from a separate run.
+def choose_engine(
+    laws: SceneLaws,
+    deck: Deck,
+    directory: Path,
+    progress: Share = None,
+    timeout: float | None = None,
+) -> Engine:
+    """Return the engine for a ``deck`` of the scene with these laws.
 
-    Within one run, ngspice begins the search for the next operating point at the response of the
-    last analysis. If several operating points exist, such a run may find another one.
+    Small signals need further analyses near resonances, each in a separate run if the operating
+    point may depend on the previous analysis. If functions set sources of the scene while it runs,
+    ngspice runs as a library.
     """
-    first = run_deck(replace(deck, refinements=()), directory, progress, timeout)
-    parts = [first.data]
-    for command in deck.refinements:
-        with TemporaryDirectory() as folder:
-            parts.append(run_deck(deck.with_command(command), Path(folder), None, timeout).data)
-    return replace(first, data=join_analyses(parts))
+    if not laws.build.scene.analysis.small:
+        return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
+    # imported here, because the module loads scipy
+    from kc2spice.workflow.resonances import list_refinements
+
+    refinements = list_refinements(deck.command, laws)
+    from_rest = deck.text is not None or not laws.linear
+    return Engine(directory, progress, timeout, refinements=refinements, from_rest=from_rest)
 
 
 def simulator_cpu(*, shared: bool) -> float:
