@@ -42,24 +42,6 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
     return part.changed(tree)
 
 
-def remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """Return ``part`` without thermal noise of auxiliary resistors.
-
-    Resistors ``Rnoise…`` and ``noisyN`` (N a number) keep their noise.
-    """
-    names = set(map(str.lower, noisy))
-
-    def silence_resistor(entry: Item) -> Item:
-        """Return an item without thermal noise."""
-        if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
-            return entry
-        if names & {entry.key, entry.key.rstrip(DIGITS)}:
-            return entry
-        return replace(entry, parameters={**entry.parameters, "noisy": "0"})
-
-    return part.changed(part.circuit.changed(silence_resistor))
-
-
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     """Return ``circuit`` with renamed subcircuits."""
     new = lower_names(names)
@@ -214,12 +196,21 @@ def _move_into_instance(expression: str, instance: str) -> str:
     return join_terms(signed)
 
 
-def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
+def prepare_noise(
+    deck: Deck, output: str, owners: Iterable[str], noisy: Mapping[str, Iterable[str]]
+) -> Deck:
     """Return the deck with the noise density of each noisy resistor as a result.
 
     The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise.
-    The owner is the part whose name is the beginning of the card's name.
+    The owner is the part whose name is the beginning of the card's name. ``noisy`` are the names of
+    resistors with noise, keyed by library file; the other resistors of these libraries compute
+    only.
     """
+    libraries = []
+    for library in deck.parts:
+        names = noisy.get(library.filename)
+        libraries.append(library if names is None else _remove_arithmetic_noise(library, names))
+    deck = replace(deck, parts=tuple(libraries))
     parts = sorted(owners, key=len, reverse=True)
     _, factor = deck.vectors[output]
     vectors = {}
@@ -230,6 +221,24 @@ def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
             vectors[f"{output}.{part}.{path.rpartition('.')[2]}"] = f"onoise_{name}", factor
     units = dict.fromkeys(vectors, deck.units[output])
     return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
+
+
+def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
+    """Return ``part`` without thermal noise of auxiliary resistors.
+
+    Resistors ``Rnoise…`` and ``noisyN`` (N a number) keep their noise.
+    """
+    names = set(map(str.lower, noisy))
+
+    def silence_resistor(entry: Item) -> Item:
+        """Return an item without thermal noise."""
+        if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
+            return entry
+        if names & {entry.key, entry.key.rstrip(DIGITS)}:
+            return entry
+        return replace(entry, parameters={**entry.parameters, "noisy": "0"})
+
+    return part.changed(part.circuit.changed(silence_resistor))
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:

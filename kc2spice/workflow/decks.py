@@ -6,7 +6,7 @@ The parts supply their cards, libraries and results by the methods of their type
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,8 @@ from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.spelling import format_comment, format_number
-from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noise
+from kc2spice.netlist.transforms import prepare_noise
+from kc2spice.scene.analysis_cards import make_analysis_cards
 from kc2spice.scene.axes import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
@@ -31,7 +32,6 @@ from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.rows import Numerics
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
-from kc2spice.workflow.analysis_cards import make_analysis_cards
 from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measures
 from kc2spice.workflow.models import build_models
@@ -79,11 +79,12 @@ def make_deck(build: Build) -> Deck:
     require_probed_results(build)
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
+    analysis = make_analysis_cards(build)
     # a separate line of the deck contains the reason
     ours = () if scene.solver.max_step else (MAX_STEP_KEY,)
     notes = (*header.origin(), *model_comments(plan, ours))
-    analysis = make_analysis_cards(build)
-    parts = tuple(_list_libraries(build, header))
+    libraries = list(_list_libraries(build, header))
+    parts = tuple(map(itemgetter(1), libraries))
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
     sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     deck = Deck(
@@ -106,7 +107,11 @@ def make_deck(build: Build) -> Deck:
         sweep_scale=sweep_scale,
         items=tuple(_list_items(build, loose, analysis.items)),
     )
-    return add_noise_sources(deck, NOISE_WAVE, scene.parts) if build.has_noise else deck
+    if not build.has_noise:
+        return deck
+    meters = {item.filename: part.type.noise for part, item in libraries if not part.netlist}
+    noisy = {name: () if isinstance(row, str) else row for name, row in meters.items()}
+    return prepare_noise(deck, NOISE_WAVE, scene.parts, noisy)
 
 
 def _list_free_nets(scene: Scene) -> Iterator[str]:
@@ -130,27 +135,25 @@ def _is_controller(part: Part, scene: Scene) -> bool:
     return measures_motion and sets_output
 
 
-def _list_libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
-    """Yield the different subcircuits of all parts.
+def _list_libraries(build: Build, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
+    """Yield the different subcircuits, each with the first part that has it.
 
     Raises
     ------
     UsageError : two parts write different libraries with the same name.
     """
-    known: dict[str, tuple[str, Subcircuit]] = {}
+    known: dict[str, tuple[Part, Subcircuit]] = {}
     for part in build.scene.parts.values():
         if part.name in build.scene.movers:
             continue
         for result in part.type.subcircuits(part, build, header):
-            if build.has_noise and not part.netlist:
-                meters = part.type.noise
-                result = remove_arithmetic_noise(result, () if isinstance(meters, str) else meters)
-            first, same = known.setdefault(result.filename.lower(), (part.name, result))
+            first, same = known.setdefault(result.filename.lower(), (part, result))
             if same is result:
-                yield result
+                yield part, result
             elif same.text != result.text:
+                names = f"{first.name} and {part.name}"
                 raise UsageError(
-                    f"{first} and {part.name} have different libraries with the same file name",
+                    f"{names} have different libraries with the same file name",
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",
