@@ -57,11 +57,12 @@ def prepare_deck(
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("export", "netlists"):
         deck = make_deck(build)
-        if edited is not None:
-            edits = read_edited_deck(deck, edited)
-            deck, build = edits.deck, with_edited_parameters(build, edits, edited)
-        require_valid_wiring(deck)
-    return build, deck
+        if edited is None:
+            require_valid_wiring(deck)
+            return build, deck
+        edits = read_edited_deck(deck, edited)
+        require_valid_wiring(edits.deck)
+        return with_edited_parameters(build, edits, edited), edits.deck
 
 
 def make_deck(build: Build) -> Deck:

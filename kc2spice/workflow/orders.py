@@ -30,8 +30,8 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.sim.ngspice import RetriesFailedError
+from kc2spice.synthesis.ringing import time_per_point
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.ringing import time_per_point
 from kc2spice.workflow.simulate import Run, simulate_deck
 
 # Factors of the order and of the highest frequency of the band, tried until the error is within its

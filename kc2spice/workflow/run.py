@@ -18,18 +18,18 @@ from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.report.figures import draw_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
+from kc2spice.scene import noise_analysis
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.metrics import read_levels
 from kc2spice.scene.model import Scene
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
-from kc2spice.workflow import noise_analysis
+from kc2spice.synthesis.ringing import warn_of_long_run
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
-from kc2spice.workflow.metrics import read_levels
 from kc2spice.workflow.models import mode_tables, model_values, value_units
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
-from kc2spice.workflow.ringing import warn_of_long_run
 from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 

@@ -23,8 +23,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.powers import add_powers
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
+from kc2spice.scene.metrics import compute_metrics
 from kc2spice.scene.model import Build
-from kc2spice.sim.engine import Engine
+from kc2spice.sim.engines import Engine
 from kc2spice.sim.ngspice import (
     Outcome,
     RetriesFailedError,
@@ -32,9 +33,9 @@ from kc2spice.sim.ngspice import (
     run_with_retries,
     write_files,
 )
-from kc2spice.workflow.metrics import compute_metrics, list_checks
 from kc2spice.workflow.models import model_values, rom_values
 from kc2spice.workflow.operating import OperatingPoint, find_operating_point
+from kc2spice.workflow.verdict import list_checks
 
 PARTIAL_WAVES_FILE = "waveforms.partial.npz"
 FAILURE_FILE = "failure.json"
@@ -202,7 +203,7 @@ def run_simulation(
 ) -> Waveforms:
     """Run ``deck`` in ngspice, in ``directory``.
 
-    Raises as :meth:`kc2spice.sim.engine.Engine.run` does.
+    Raises as :meth:`kc2spice.sim.engines.Engine.run` does.
     """
     return choose_engine(scene_laws(build), deck, directory, progress, timeout).run(deck)
 

@@ -14,9 +14,9 @@ import numpy as np
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.powers import add_powers
 from kc2spice.scene.checks import Check, Gate
+from kc2spice.scene.metrics import compute_metrics
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import collect_powers
-from kc2spice.workflow.metrics import compute_metrics
 from kc2spice.workflow.simulate import correct_waves
 
 MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value

@@ -1,12 +1,15 @@
-"""Results of a run: metrics, checks and energy balances of the parts and probes."""
+"""Metrics of a run: the values of the parts and probes of its scene.
+
+The input is the waves of a run and the build of its scene. A probe reads one wave; its value is
+computed in :mod:`kc2spice.core.probe_values`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -14,84 +17,11 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.probe_values import compute_probe_value
 from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel
 from kc2spice.core.waveforms import SCALES, Waveforms
-from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
+from kc2spice.scene import noise_analysis
+from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.settings import Probe
-from kc2spice.workflow import noise_analysis
-from kc2spice.workflow.time_step import list_step_checks
-
-# relative change of the height of a flight for a relative change of the velocity
-HEIGHT_PER_VELOCITY = 2.0
-# share of error_budget that an energy balance may miss, a tenth of the share of time steps
-BALANCE_SHARE = 0.03
-
-
-def list_checks(waves: Waveforms, build: Build) -> Verdict:
-    """Return the checks of the parts of a scene, except checks that the scene turns off.
-
-    A larger error_budget raises the limits of all energy balances by the same factor.
-    """
-    scene = build.scene
-    checks: list[Check] = []
-    balances: dict[str, Balance] = {}
-    gates: list[tuple[str, Gate]] = []
-    for name, part in scene.parts.items():
-        for row in part.type.checks(part, build, waves) if name not in build.unjudged else ():
-            if isinstance(row, Check):
-                checks.append(row)
-            elif isinstance(row, Balance):
-                balances[name] = row
-            else:
-                gates.append((name, row))
-    checks += (
-        noise_analysis.noise_checks(waves)
-        if build.has_noise
-        else list_step_checks(build, waves, balances)
-    )
-    if scene.checks.energy == "off":
-        balances = {}
-    slack = max(1.0, BALANCE_SHARE * (scene.error_budget or 0.0) / 1e-4)
-    checks += [
-        Check(
-            f"energy of {name}",
-            result.share,
-            slack * result.limit,
-            "of the energy exchanged",
-            result.advice,
-            scene.checks.energy,
-            coarse=True,
-        )
-        for name, result in balances.items()
-    ]
-    active = tuple(check for check in with_undecided(checks) if check.action != "off")
-    return Verdict(active, tuple(balances.items()), tuple(gates))
-
-
-def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
-    """Yield all checks, and a warning for each check that errors of reduced bodies may decide.
-
-    A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
-    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
-    smaller than this.
-    """
-    error = max((check.value for check in checks if check.loaded), default=0.0)
-    for check in checks:
-        change = HEIGHT_PER_VELOCITY * error * check.travel
-        if check.distance >= change:
-            yield check
-            continue
-        side = "within" if check.passed else "beyond"
-        advice = (
-            f"the motion ends {check.distance:.3g} {check.unit} {side} its limit, nearer than the "
-            f"estimated error of reduced bodies ({error:.2%}) moves it: the outcome is not decided"
-        )
-        if check.passed:
-            yield check
-            name = f"{check.name} undecided"
-            yield Check(name, change, check.distance, check.unit, advice, "warn")
-        else:
-            yield replace(check, advice=f"{check.advice}; {advice}")
 
 
 class Metrics(NamedTuple):

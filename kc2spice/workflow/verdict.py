@@ -1,0 +1,84 @@
+"""Verdict on a run: checks of the parts and of the time steps, and energy balances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.scene import noise_analysis
+from kc2spice.scene.checks import Balance, Check, Gate, Verdict
+from kc2spice.scene.model import Build
+from kc2spice.workflow.time_step import list_step_checks
+
+# relative change of the height of a flight for a relative change of the velocity
+HEIGHT_PER_VELOCITY = 2.0
+# share of error_budget that an energy balance may miss, a tenth of the share of time steps
+BALANCE_SHARE = 0.03
+
+
+def list_checks(waves: Waveforms, build: Build) -> Verdict:
+    """Return the checks of the parts of a scene, except checks that the scene turns off.
+
+    A larger error_budget raises the limits of all energy balances by the same factor.
+    """
+    scene = build.scene
+    checks: list[Check] = []
+    balances: dict[str, Balance] = {}
+    gates: list[tuple[str, Gate]] = []
+    for name, part in scene.parts.items():
+        for row in part.type.checks(part, build, waves) if name not in build.unjudged else ():
+            if isinstance(row, Check):
+                checks.append(row)
+            elif isinstance(row, Balance):
+                balances[name] = row
+            else:
+                gates.append((name, row))
+    checks += (
+        noise_analysis.noise_checks(waves)
+        if build.has_noise
+        else list_step_checks(build, waves, balances)
+    )
+    if scene.checks.energy == "off":
+        balances = {}
+    slack = max(1.0, BALANCE_SHARE * (scene.error_budget or 0.0) / 1e-4)
+    checks += [
+        Check(
+            f"energy of {name}",
+            result.share,
+            slack * result.limit,
+            "of the energy exchanged",
+            result.advice,
+            scene.checks.energy,
+            coarse=True,
+        )
+        for name, result in balances.items()
+    ]
+    active = tuple(check for check in with_undecided(checks) if check.action != "off")
+    return Verdict(active, tuple(balances.items()), tuple(gates))
+
+
+def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
+    """Yield all checks, and a warning for each check that errors of reduced bodies may decide.
+
+    A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
+    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
+    smaller than this.
+    """
+    error = max((check.value for check in checks if check.loaded), default=0.0)
+    for check in checks:
+        change = HEIGHT_PER_VELOCITY * error * check.travel
+        if check.distance >= change:
+            yield check
+            continue
+        side = "within" if check.passed else "beyond"
+        advice = (
+            f"the motion ends {check.distance:.3g} {check.unit} {side} its limit, nearer than the "
+            f"estimated error of reduced bodies ({error:.2%}) moves it: the outcome is not decided"
+        )
+        if check.passed:
+            yield check
+            name = f"{check.name} undecided"
+            yield Check(name, change, check.distance, check.unit, advice, "warn")
+        else:
+            yield replace(check, advice=f"{check.advice}; {advice}")
