@@ -124,6 +124,7 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.read": "read_cards",
     "kc2spice.netlist.transforms": "make_array_deck with_parameters",
     "kc2spice.netlist.translate": "translate_deck write_dialect_files write_symbol_files",
+    "kc2spice.parts.acoustics._acoustic_load": "collect_load",
     "kc2spice.parts.acoustics._radiation_impedance": "RADIATORS",
     "kc2spice.parts.bodies": "_body_model _neglected bimorph disc langevin",
     "kc2spice.parts.bodies._body_model": "describe_target scene_band",

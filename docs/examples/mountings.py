@@ -66,14 +66,15 @@ for name in DISCS:
     assert abs(ring.metrics[FREQUENCY] / resonance - 1) < 0.005
     assert rim.metrics[FREQUENCY] < resonance
     assert 60 < housed.metrics[LEVEL] < 110
-    errors.append(max(run.metrics["level_error_db"] for run in (free, ring, rim)))
+    errors.append([run.metrics["level_error_db"] for run in runs])
     print(f"{name:20} {row[0]}   {without_baffle(free)}      {'  '.join(row[1:])}")
     smaller, larger = (other.metrics[LEVEL] - ring.metrics[LEVEL] for other in others)
     share = node / (2 * scene.part("front").keys.surface_radius)
     rings.append(
         f"{name:20} {1e3 * node:5.2f}   {share:.3f}      {smaller:+5.1f}     {larger:+5.1f}"
     )
-print(f"\nerror of the levels without a housing: at most {max(errors):.1f} dB")
+free, ring, rim, housed = (f"{max(column):5.1f}" for column in zip(*errors, strict=True))
+print(f"{'largest error':20} {free}                   {ring}          {rim}          {housed}")
 print("\ndiameter of the support ring in mm, change of the level in dB")
 print("                     ring   ring / disc  5 % smaller  5 % larger")
 print("\n".join(rings))

@@ -13,6 +13,14 @@ Without a baffle, the sound of the back cancels that of the front. A thin disc o
 radiates as a dipole. At small k a, its field on the axis relative to that in a baffle is
 ``k / 2 int v g dS / int v dS`` with ``g = (4 / pi) (a^2 - r^2)^1/2``, the potential difference
 across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed., section 102).
+
+In a closed volume, the mean of v compresses the fluid. The other part of v is a sum of the cross
+modes of the volume, ``v = sum v_n psi_n``, which do not propagate below their cut-off. In a
+cylinder of depth h with cross wave numbers kappa_n, their near field has the mass
+
+    sum_n rho |v_n|^2 coth(g_n h) / g_n <= rho coth(g_1 h) / g_1 int |v - mean|^2 dS,
+
+with ``g_n^2 = kappa_n^2 - k^2`` and v relative to the unit motion of the body.
 """
 
 from __future__ import annotations
@@ -27,6 +35,9 @@ from scipy.special import j0, j1
 from kc2spice.bodies.undamped import FiniteElementModel
 
 FACE_QUADRATURE = 5  # order of integration on a face
+# First cross wave numbers of a cylinder times its radius, by symmetry about its axis: the first
+# positive zeros of J1'(x) and of J1(x)
+CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
 POLAR_ANGLES, AZIMUTHS = 48, 32  # directions over a half-space; the far field at k a = 20 needs 30
 
 
@@ -101,6 +112,20 @@ class FaceMotion:
         x = wave_number * radius * sines
         piston = weights @ (2 * j1(x) / x) ** 2
         return np.asarray(power / (piston * self.volumes**2))
+
+    def near_field_masses(self, depth: float, wave_number: float) -> np.ndarray:
+        """Largest masses (motions,) of unit fluid density that the near field adds to the motions.
+
+        The fluid fills a cylinder of this depth [m] in front of the face. The mass is infinite if
+        cross modes of the cylinder propagate.
+        """
+        radius = np.sqrt(self.area / np.pi)
+        cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
+        if cross <= 0:
+            return np.full(self.normal.shape[1], np.inf)
+        uneven = self.normal - self.volumes / self.area
+        decay = np.sqrt(cross)
+        return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
     def unbaffled_ratios(self, wave_number: float) -> np.ndarray:
         """Ratios (motions,) of the pressure on the axis without a baffle to that in a baffle.

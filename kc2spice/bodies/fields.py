@@ -27,7 +27,9 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import integrate_modes
+from kc2spice.rom.pencil import congruence
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
 BASIS_SIZE = 40
@@ -118,19 +120,46 @@ def _compute_modes(
     The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
     diagonal of the modal damping matrix, so coupling of modes through damping is neglected.
     """
+    model, V = device.model, _make_basis(device)
+    K, E, M = model.pencil.project(V).coefficients
+    squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+    omega = np.sqrt(np.maximum(squares, (MIN_PHASE / span) ** 2))
+    return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
+
+
+def _make_basis(device: FiniteElementModel) -> np.ndarray:
+    """Make a Krylov basis (n, q) that contains the lowest modes that the ports excite."""
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
-    V = block_arnoldi(
+    return block_arnoldi(
         lambda v: model.K @ v + shift * (model.M @ v),
         solve,
         lambda v: model.M @ v,
         model.B,
         BASIS_SIZE,
     )
-    K, E, M = model.pencil.project(V).coefficients
-    squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-    omega = np.sqrt(np.maximum(squares, (MIN_PHASE / span) ** 2))
-    return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
+
+
+def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
+    """Project the model on a Krylov basis that contains the lowest modes that the ports excite.
+
+    The result has all losses of the model and all its ports.
+    """
+    model, V = device.model, _make_basis(device)
+    pencil = model.pencil.project(V)
+    K, E, M = pencil.coefficients
+    loss = None if model.loss is None else congruence(model.loss, V, known=True)
+    return LinearModel(
+        M=M,
+        E=E,
+        K=K,
+        B=pencil.B,
+        C=pencil.C,
+        D=pencil.D,
+        ports=model.ports,
+        loss=loss,
+        loss_factor=model.loss_factor,
+    )
 
 
 class FieldProbe:

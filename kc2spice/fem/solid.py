@@ -24,6 +24,7 @@ from typing import Any, Literal
 import numpy as np
 import skfem
 from scipy import sparse
+from skfem.mapping import MappingIsoparametric
 from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 
 from kc2spice.core.errors import wrong
@@ -35,6 +36,23 @@ CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 # Coordinates of a mesh among x, y and z, by its dimension: a height, a meridian plane, space.
 _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
+
+
+# Largest change of all local coordinates in the last Newton step in elements that are so thin that
+# rounding of global coordinates exceeds the default; the convergence is quadratic.
+THIN_ELEMENT_TOLERANCE = 1e-8
+
+
+class FacetMapping(MappingIsoparametric):
+    """Mapping of elements, whose inverse also converges in elements a micrometre thin."""
+
+    def invF(self, x: np.ndarray, tind: Any = None, **options: Any) -> np.ndarray:
+        """Return local coordinates of points."""
+        try:
+            return np.asarray(super().invF(x, tind, **options))
+        except Exception:  # skfem raises no narrower class
+            options["newton_tol"] = THIN_ELEMENT_TOLERANCE
+            return np.asarray(super().invF(x, tind, **options))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +135,12 @@ class Solid:
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
         """Return the scalar basis on facets, seen from the element on one ``side``."""
+        options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._nodes}
+        if not self.mesh.affine:
+            options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
         if side:
-            return skfem.InteriorFacetBasis(
-                self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes, side=side
-            )
-        return skfem.BoundaryFacetBasis(
-            self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes
-        )
+            return skfem.InteriorFacetBasis(self.mesh, self.element, side=side, **options)
+        return skfem.BoundaryFacetBasis(self.mesh, self.element, **options)
 
     @cached_property
     def places(self) -> np.ndarray:

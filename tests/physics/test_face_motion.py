@@ -6,12 +6,14 @@ import warnings
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import jv
+from scipy.interpolate import CubicSpline
+from scipy.special import j1, jn_zeros, jv, struve
 from support import (
     Block,
     BondedBlocks,
     Clock,
     FaceMotion,
+    collect_load,
     compute_lowest_modes,
     find_node_diameter,
     load_scene,
@@ -89,6 +91,34 @@ def test_the_sound_of_a_disc_without_a_baffle_is_that_of_a_dipole():
     )
     # int (1 - s^2)^2.5 2 pi s ds = 2 pi / 7, beside pi / 3 of the volume
     assert PLATE.unbaffled_ratios(k) == pytest.approx([0.1 * 12 / (7 * math.pi)], rel=1e-5)
+
+
+def exact_near_field(shape, depth):
+    """Sum over the modes J0(j_n s) of a cylinder of unit density: 2 |v_n|^2 S coth(g h) / g."""
+    total = 0.0
+    for zero in jn_zeros(1, 40):
+        norm = quad(lambda s, z=zero: jv(0, z * s) ** 2 * s, 0, 1)[0]
+        share = quad(lambda s, z=zero: shape(s) * jv(0, z * s) * s, 0, 1, limit=200)[0]
+        decay = zero / RADIUS
+        mass = 2 * math.pi * RADIUS**2 * share**2 / norm
+        total += mass / (decay * math.tanh(decay * depth))
+    return total
+
+
+@pytest.mark.parametrize("depth", [1e-3, 10e-3, math.inf])
+def test_the_near_field_of_a_face_in_a_cylinder_is_at_most_that_of_its_first_cross_mode(depth):
+    (bound,) = PLATE.near_field_masses(depth, 0.0)
+    exact = exact_near_field(lambda s: (1 - s**2) ** 2, depth)
+    assert exact < bound < 1.15 * exact
+    zero = jn_zeros(1, 1)[0]
+    cross = circular_face(lambda s: 0.3 + jv(0, zero * s))
+    exact = exact_near_field(lambda s: jv(0, zero * s), depth)
+    assert cross.near_field_masses(depth, 0.0) == pytest.approx([exact], rel=1e-8)
+    # a face without symmetry also has the lower cross mode of one nodal diameter
+    (other,) = spread(cross).near_field_masses(depth, 0.0)
+    assert other > 2 * exact
+    assert PISTON.near_field_masses(depth, 0.0) == pytest.approx([0.0], abs=1e-20)
+    assert np.isinf(PLATE.near_field_masses(depth, 1.01 * zero / RADIUS))
 
 
 def test_a_free_plate_has_its_node_at_the_place_of_the_closed_form():
@@ -179,6 +209,84 @@ def test_a_ring_changes_the_level_by_what_a_run_states():
     stated = effects_of(results[12.6e-3])["support"].split(" dB")[0].split(",")[1]
     assert levels[1] - levels[0] == pytest.approx(float(stated), abs=0.1)
     assert abs(levels[1] - levels[0]) > 0.5
+
+
+HOUSING = {
+    **SCENE,
+    "disc": {**SCENE["disc"], "support": "simply_supported"},
+    "front": {"part": "radiation", "radius": 1.5e-3, "pins": {"face": "hole.b"}},
+    "chamber": {
+        "part": "cavity", "volume": 0.8e-6, "wall_losses": False,
+        "pins": {"a": "disc.front_face"},
+    },
+    "hole": {
+        "part": "vent", "radius": 1.5e-3, "length": 1e-3, "end_b": "none", "losses": False,
+        "pins": {"a": "chamber.a"},
+    },
+    "analysis": {"type": "ac", "start": 500, "stop": 3600, "points": 1500},
+}  # fmt: skip
+
+
+def test_the_load_of_a_housing_is_that_of_a_helmholtz_resonator():
+    """A hole with a flange on one side, and the exact piston in a baffle on the other."""
+    f, rho, c, a = np.array([300.0, 1500.0, 2500.0, 4000.0]), 1.204, 343.2, 1.5e-3
+    s, S = 2j * np.pi * f, math.pi * a**2
+    x = 4 * np.pi * f * a / c
+    piston = rho * c / S * (1 - 2 * j1(x) / x + 2j * struve(1, x) / x)
+    series = s * rho * (1e-3 + 8 / (3 * math.pi) * a) / S + piston
+    cavity = rho * c**2 / (s * 0.8e-6)
+    load = collect_load(load_scene(HOUSING), "disc", ["front_face"])
+    impedance, sound = load.respond(f)
+    assert load.complete
+    # the compressibility of the air in the hole is 1 % of that in the cavity, at its Helmholtz
+    # resonance of 2.5 kHz
+    far = np.abs(f - 2500) > 200
+    exact = 1 / (1 / series + 1 / cavity)
+    assert impedance[far, 0, 0] == pytest.approx(exact[far], rel=0.03)
+    share = cavity / (cavity + series)
+    assert sound[far, 0] == pytest.approx((s * rho / (2 * np.pi) * share)[far], rel=0.03)
+
+
+@pytest.mark.slow
+def test_a_ring_one_micrometre_from_the_rim_is_a_ring_at_the_rim():
+    """The elements beyond the ring are so thin that rounding limits their coordinates."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tones = []
+        for node in (19.998e-3, 20e-3):
+            run = kc.run(SCENE, overrides={"disc.support": {"node": node}})
+            tones.append(run.metrics["resonance_hz"])
+    assert tones[0] == pytest.approx(tones[1], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_run_states_the_effects_on_the_level_of_a_disc_in_a_housing():
+    """Runs of changed scenes have the levels that the first run states."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        base = kc.run(HOUSING)
+    effects = effects_of(base)
+    changes = {
+        "Q factor": {"disc.damping.quality": 25},
+        "support": {"disc.support": {"node": 19.8e-3}},
+    }
+    for name, change in changes.items():
+        other = kc.run(HOUSING, overrides=change)
+        stated = float(effects[name].split()[0])
+        difference = other.metrics["peak_level_db"] - base.metrics["peak_level_db"]
+        assert difference == pytest.approx(stated, abs=0.1)
+        assert abs(difference) > 0.15
+    # radiation and the second resonance also limit the level
+    assert float(effects["Q factor"].split()[0]) > -5.0
+    level, hertz = (base.metrics[key] for key in ("level_db", "listener.frequency_hz"))
+    curve, near = CubicSpline(hertz, level), hertz[int(np.argmax(level))]
+    fine = near * np.linspace(0.995, 1.005, 2001)
+    tone = fine[curve(fine).argmax()]
+    sides = [curve(ratio * tone) - curve(tone) for ratio in (0.99, 1.01)]
+    assert float(effects["resonance"].split()[0]) == pytest.approx(min(sides), abs=0.1)
+    assert effects["motion of front_face"].startswith("0.88 of the volume velocity")
+    parts = [float(effects[name].split()[0]) for name in ("Q factor", "resonance", "support")]
+    assert base.metrics["level_error_db"] == pytest.approx(math.hypot(*parts), abs=0.1)
 
 
 def test_a_disc_on_its_rim_is_close_to_a_piston():

@@ -7,6 +7,7 @@ from this network, which is positive real because all elements are positive.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -128,6 +129,10 @@ class AcousticPart(PartType[FluidKeysT]):
     def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
         """Return the pairs of pins between which a constant volume velocity can flow."""
         return ()
+
+    def fluid_volume(self, part: Part[FluidKeysT]) -> float:
+        """Return the volume [m3] of fluid in front of a face; infinite if no wall is near."""
+        return math.inf
 
     # --- pins and netlist -------------------------------------------------------------------------
 

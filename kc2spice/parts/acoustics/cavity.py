@@ -114,6 +114,10 @@ stop = "2 kHz"
         """Return the path of a steady flow, from the opening to the ambient pressure."""
         return (("a", AMBIENT),)
 
+    def fluid_volume(self, part: Part[CavityKeys]) -> float:
+        """Return the volume of the cavity."""
+        return part.keys.volume
+
     def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)

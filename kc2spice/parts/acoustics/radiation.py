@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -238,27 +238,52 @@ stop = "20 kHz"
             yield Neglected("shape of the motion", "all points move alike", "not estimated")
 
 
-def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Reading:
-    """Return the far field on the axis at the reference distance, without its travel time.
+@dataclass(frozen=True)
+class FarField:
+    """Pressure in the far field, on the axis at the reference distance, without travel time.
+
+    It is ``pressure * p + flow * U`` with the pressure p [Pa] on the surface and its volume
+    velocity U [m3/s], or the rate of this sum if ``rate``.
+    """
+
+    pressure: float
+    flow: float
+    rate: bool
+
+    def evaluate(self, s: np.ndarray, p: np.ndarray, U: np.ndarray) -> np.ndarray:
+        """Return the pressures at ``s = j omega``."""
+        return np.asarray((s if self.rate else 1.0) * (self.pressure * p + self.flow * U))
+
+
+def find_far_field(keys: RadiationKeys) -> FarField:
+    """Return the far field of a surface.
 
     The field is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with
     the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end.
     The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times that of a point
     source of the same power.
     """
-    keys, name = part.keys, part.name
-    pressure = equations.results[f"{name}.{ACOUSTIC.across.symbol}"].terms
     if keys.shape == "sphere":
-        share = keys.surface_radius / REFERENCE_DISTANCE
-        return laws.Reading(tuple((share * factor, wave) for factor, wave in pressure))
-    terms = equations.results[f"{name}.{ACOUSTIC.through_variable.symbol}"].terms
-    if keys.shape == "free_piston":
-        fluid, area = keys.fluid, keys.radiator.area * keys.surface_radius**2
-        admittance = area / (fluid.density * fluid.sound_speed)
-        terms += tuple((admittance * factor, wave) for factor, wave in pressure)
+        return FarField(keys.surface_radius / REFERENCE_DISTANCE, 0.0, rate=False)
     mass = keys.fluid.density / (keys.radiator.solid_angle * REFERENCE_DISTANCE)
-    rows = tuple((mass * factor, wave) for factor, wave in terms)
-    return laws.Reading(rows, rate=True, corner=keys.sound_corner)
+    if keys.shape == "baffled_piston":
+        return FarField(0.0, mass, rate=True)
+    area = keys.radiator.area * keys.surface_radius**2
+    return FarField(mass * area / (keys.fluid.density * keys.fluid.sound_speed), mass, rate=True)
+
+
+def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Reading:
+    """Return the far field as a combination of waves of the independent integrator."""
+    field, terms = find_far_field(part.keys), list[tuple[float, str]]()
+    symbols = {
+        ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,
+    }  # fmt: skip
+    for symbol, share in symbols.items():
+        if share:
+            for factor, wave in equations.results[f"{part.name}.{symbol}"].terms:
+                terms.append((share * factor, wave))
+    corner = part.keys.sound_corner if field.rate else math.inf
+    return laws.Reading(tuple(terms), rate=field.rate, corner=corner)
 
 
 register(Radiation())

@@ -1,32 +1,34 @@
 """Assumptions about a radiating face of a body, and their effects on the sound pressure level.
 
-A part of type ``radiation`` represents the face by a piston with its volume velocity. The effects
-are the shape of the motion, the baffle, and the tolerances of resonance, support and Q factor.
-The effects are computed before a simulation from the full model, at the resonance of the body with
-the largest level.
+Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
+is a piston with this volume velocity. Behind a cavity, a vent or a tube, the pressure on the face
+is uniform. The effects are the shape of the motion, the baffle, and the tolerances of resonance,
+support and Q factor. The effects are computed before a simulation from the full model, at the
+frequency with the largest level.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.bodies.face_motion import FaceMotion, sample_face_motion
-from kc2spice.bodies.fields import compute_lowest_modes
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.face_motion import FaceMotion
 from kc2spice.core.prefix import format_quantity
-from kc2spice.parts.acoustics.radiation import RadiationKeys
+from kc2spice.parts.bodies._face_response import (
+    HALF_OCTAVE,
+    LOWEST_SHARE,
+    FaceOfBody,
+    FacingFluid,
+)
 from kc2spice.scene.rows import Neglected
 
 TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a support
 # Largest k a for which the dipole formula holds: there the exact pressure of a rigid disc without a
 # baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
 LARGEST_DIPOLE_KA = 1.5
-MAX_MODES = 6  # number of modes whose shapes are compared with a piston
-HALF_QUALITY = 20 * math.log10(2)  # dB, change of a level at resonance if the Q factor is halved
 # dB, largest difference of the radiated power without a warning: the tolerance of a sound level
 # meter of class 2 (IEC 61672-1)
 PISTON_TOLERANCE = 1.0
@@ -43,66 +45,40 @@ class FaceLevels:
     piston_ratio : ratio of mean to rms velocity.
     peak : ratio of the largest to the mean displacement.
     power : radiated power relative to that of a piston with the same volume velocity; ``worst``
-        is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz].
+        is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz]. All
+        are 0 for a face without a part of type ``radiation``.
+    shift : relative change of the resonance frequency by the near field of a face that works into
+        other acoustic parts, infinite if it is unknown; ``near_field`` is its effect on the level.
     unbaffled : level without a baffle, None if the body is no thin disc.
-    detuned : level at a frequency 1 % beside the resonance, None without electrodes.
+    detuned : level 1 % beside the resonance, None without electrodes or without sound.
+    halved : level at half of the Q factor, None in the same cases.
     node : diameter [m] of the circle without motion, None without such a circle.
-    support : differences on a ring of 0.99 and 1.01 of the diameter ``ring`` [m]; empty if unknown.
+    support : differences on supporting ``rings`` of other diameters [m]; empty if unknown.
     """
 
     resonance: float
     piston_ratio: float
     peak: float
-    power: float
-    worst: float
-    worst_frequency: float
-    unbaffled: float | None
-    detuned: float | None
-    node: float | None
-    ring: float = 0.0
+    power: float = 0.0
+    worst: float = 0.0
+    worst_frequency: float = 0.0
+    shift: float = 0.0
+    near_field: float = 0.0
+    unbaffled: float | None = None
+    detuned: float | None = None
+    halved: float | None = None
+    node: float | None = None
+    rings: tuple[float, ...] = ()
     support: tuple[float, ...] = ()
 
     @property
-    def total(self) -> float:
-        """Root of the sum of squares of all differences except ``unbaffled``."""
-        sizes = [self.power, HALF_QUALITY, self.detuned or 0.0]
+    def total(self) -> float | None:
+        """Root of the sum of squares of all differences except ``unbaffled``, None if unknown."""
+        if self.detuned is None or self.halved is None:
+            return None
+        sizes = [self.power, self.near_field, self.halved, self.detuned]
         sizes.append(max(map(abs, self.support), default=0.0))
         return math.hypot(*sizes)
-
-
-@dataclass(frozen=True)
-class FaceOfBody:
-    """Full model with an acoustic port and the piston that represents it.
-
-    The modes are those below ``end`` [Hz], at most ``count``.
-    """
-
-    device: FiniteElementModel
-    port: str
-    keys: RadiationKeys
-    end: float
-    count: int = MAX_MODES
-
-    def modes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies [Hz] and vectors of the modes in the band."""
-        return compute_lowest_modes(self.device, self.count, self.end)
-
-    def motions(self) -> tuple[np.ndarray, FaceMotion]:
-        """Return frequencies [Hz] and motions of the modes in the band."""
-        hertz, z = self.modes()
-        return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
-
-    def levels(self, hertz: Sequence[float] | np.ndarray) -> np.ndarray | None:
-        """Return levels [dB] relative to a constant; None without electrodes."""
-        model = self.device.model
-        drives = [port.name for port in model.ports if port.electrical]
-        if not drives:
-            return None
-        pair = model.select([drives[0], self.port])
-        row, column = pair.outputs.index(self.port), pair.inputs.index(drives[0])
-        f = np.asarray(hertz, dtype=float)
-        volume = np.abs(pair.transfer(f)[:, row, column])
-        return np.asarray(20 * np.log10(np.maximum(f**2 * volume, 1e-300)))
 
 
 def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
@@ -129,63 +105,109 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
     motion = FaceMotion(
         motion.places, motion.areas, motion.normal[:, select], motion.axis, motion.axisymmetric
     )
-    levels = face.levels(hertz)
-    main = 0 if levels is None else int(levels.argmax())
-    numbers = 2 * np.pi * hertz / face.keys.fluid.sound_speed
-    radius = face.keys.surface_radius
-    ratios = [motion.power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
-    power = 10 * np.log10(ratios)
-    worst, unbaffled, detuned = int(np.abs(power).argmax()), None, None
-    small = numbers[main] * radius <= LARGEST_DIPOLE_KA
-    if motion.axisymmetric and small and face.keys.shape == "baffled_piston":
-        unbaffled = 20 * math.log10(motion.unbaffled_ratios(numbers[main])[main])
-    if levels is not None:
-        sides = face.levels(hertz[main] * np.array([1 - TOLERANCE, 1 + TOLERANCE]))
-        assert sides is not None
-        detuned = float((sides - levels[main]).min())
-    return FaceLevels(
+    main, tone, level = 0, None, 0.0
+    if face.audible:
+        low = hertz[0] * LOWEST_SHARE
+        high = face.end if face.count > 1 else hertz[0] * HALF_OCTAVE
+        tone, level = face.loudest(low, high)
+        main = int(np.abs(hertz - tone).argmin())
+    result = FaceLevels(
         float(hertz[main]),
         float(motion.piston_ratios[main]),
         float(motion.peak_ratios[main]),
-        float(power[main]),
-        float(power[worst]),
-        float(hertz[worst]),
-        unbaffled,
-        detuned,
-        find_node_diameter(motion, main),
+        node=find_node_diameter(motion, main),
+    )
+    result = _compare_with_piston(result, face, motion, hertz, main)
+    if tone is None:
+        return result
+    sides = face.levels(tone * np.array([1 - TOLERANCE, 1 + TOLERANCE])) - level
+    damped = face.loudest_near(tone, damping=2.0)
+    near = 0.0
+    if 0 < result.shift < np.inf:
+        # a tone stays where it is, while the resonances fall
+        near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
+    return replace(
+        result, detuned=float(sides.min()), halved=float(damped - level), near_field=near
     )
 
 
-def level_near(face: FaceOfBody, resonance: float) -> float:
-    """Return the level [dB] at the resonance that is nearest to a frequency [Hz]."""
-    hertz, _ = face.modes()
-    levels = face.levels(hertz[[np.abs(hertz - resonance).argmin()]])
-    return math.nan if levels is None else float(levels[0])
+def _compare_with_piston(
+    result: FaceLevels, face: FaceOfBody, motion: FaceMotion, hertz: np.ndarray, main: int
+) -> FaceLevels:
+    """Return the result with the effects of the shape of the motion."""
+    facing = face.facing
+    numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
+    if facing.radiation is None:
+        depth = facing.volume / motion.area
+        masses = motion.near_field_masses(depth, float(numbers[main]))
+        # the modes have a mass of 1
+        return replace(result, shift=float(facing.fluid.density * masses[main] / 2))
+    radius = facing.radiation.surface_radius
+    ratios = [motion.power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
+    power = 10 * np.log10(ratios)
+    worst, unbaffled = int(np.abs(power).argmax()), None
+    small = numbers[main] * radius <= LARGEST_DIPOLE_KA
+    if motion.axisymmetric and small and facing.radiation.shape == "baffled_piston":
+        unbaffled = 20 * math.log10(motion.unbaffled_ratios(numbers[main])[main])
+    return replace(
+        result,
+        power=float(power[main]),
+        worst=float(power[worst]),
+        worst_frequency=float(hertz[worst]),
+        unbaffled=unbaffled,
+    )
 
 
-def describe_piston_difference(name: str, radiation: str, levels: FaceLevels) -> str:
+def describe_piston_difference(name: str, facing: FacingFluid, levels: FaceLevels) -> str:
     """Return the warning that a face does not move like a piston; empty if it does."""
-    if levels.piston_ratio >= MIN_PISTON_SHARE and abs(levels.worst) <= PISTON_TOLERANCE:
+    share = levels.piston_ratio
+    differences = (levels.worst, levels.near_field)
+    if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
         return ""
+    text = (
+        f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
+        f"velocity is {share:.2g} of that of a piston with its rms velocity. "
+    )
+    if facing.radiation is None:
+        return (
+            f"{text}{' and '.join(facing.names)} contain its volume velocity alone: the near "
+            + (f"field {_describe_near_field(levels)}")
+        )
     worst, sign = abs(levels.worst), "less" if levels.worst < 0 else "more"
     return (
-        f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
-        f"velocity is {levels.piston_ratio:.2g} of that of a piston with its rms velocity. It "
-        f"radiates {worst:.1f} dB {sign} power than {radiation} at "
+        f"{text}It radiates {worst:.1f} dB {sign} power than {facing.names[0]} at "
         f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis"
     )
 
 
-def list_level_effects(name: str, port: str, levels: FaceLevels) -> Iterator[Neglected]:
-    """Yield the assumptions about a face with their effects on its level."""
+def _describe_near_field(levels: FaceLevels) -> str:
+    """Describe the largest effect of the near field in a closed volume."""
+    if math.isinf(levels.shift):
+        return "is not estimated, because cross modes of the volume propagate"
+    shift = f"lowers the resonance by at most {100 * levels.shift:.2g} %"
+    return shift if levels.detuned is None else f"{shift}, {levels.near_field:+.1f} dB"
+
+
+def list_level_effects(
+    name: str, port: str, levels: FaceLevels, *, direct: bool
+) -> Iterator[Neglected]:
+    """Yield the assumptions about a face with their effects on its level.
+
+    The face is ``direct`` if it has a part of type ``radiation`` on it.
+    """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def effect(of: str, assumption: str, size: str) -> Neglected:
         """Return a neglected effect with its size."""
         return Neglected(f"{name}: {of}", assumption, size, summarised=True)
 
-    shape = f"{levels.power:+.1f} dB of power at {place}"
-    yield effect(f"motion of {port}", "that of a piston", shape)
+    if direct:
+        shape = f"{levels.power:+.1f} dB of power at {place}"
+        yield effect(f"motion of {port}", "that of a piston", shape)
+    else:
+        share = f"{levels.piston_ratio:.2g} of the volume velocity of a piston at {place}"
+        yield effect(f"motion of {port}", "that of a piston", share)
+        yield effect(f"near field of {port}", "uniform pressure", _describe_near_field(levels))
     if levels.unbaffled is not None:
         size = f"about {levels.unbaffled:+.0f} dB without a baffle"
         yield effect(f"baffle of {port}", "infinite and rigid", size)
@@ -193,8 +215,10 @@ def list_level_effects(name: str, port: str, levels: FaceLevels) -> Iterator[Neg
         size = f"{levels.detuned:+.1f} dB for a tone {percent:g} % beside it"
         yield effect("resonance", "exact", size)
     if levels.support:
-        smaller, larger = (1e3 * levels.ring * (1 + sign * TOLERANCE) for sign in (-1, 1))
-        below, above = levels.support
-        size = f"{below:+.1f}, {above:+.1f} dB on rings of {smaller:.3g}, {larger:.3g} mm"
+        changes = ", ".join(f"{change:+.1f}" for change in levels.support)
+        rings = ", ".join(f"{1e3 * ring:.3g}" for ring in levels.rings)
+        ring = "a ring" if len(levels.rings) == 1 else "rings"
+        size = f"{changes} dB on {ring} of {rings} mm"
         yield effect("support", "ideal", size)
-    yield effect("Q factor", "as stated", f"{-HALF_QUALITY:+.1f} dB at half of it")
+    if levels.halved is not None:
+        yield effect("Q factor", "as stated", f"{levels.halved:+.1f} dB at half of it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.acoustics.radiation import FACE, RadiationKeys
+from kc2spice.parts.acoustics._acoustic_part import AcousticPart
+from kc2spice.parts.acoustics._fluids import FluidKeys
+from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.parts.bodies._body_ports import flow_name
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import FieldKeysT
@@ -26,14 +29,15 @@ from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
-    from kc2spice.parts.bodies._face_levels import FaceLevels, FaceOfBody
+    from kc2spice.parts.bodies._face_levels import FaceLevels
+    from kc2spice.parts.bodies._face_response import FaceOfBody, FacingFluid
 
 MEAN_CAPTION = "Mean displacement of each radiating face along its outward normal."
 LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
 
 
 class SoundingBody(LinearBody[FieldKeysT]):
-    """Body with a mesh, whose faces can be joined to parts of type ``radiation``."""
+    """Body with a mesh, whose faces can be joined to acoustic parts."""
 
     @abstractmethod
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
@@ -45,88 +49,105 @@ class SoundingBody(LinearBody[FieldKeysT]):
         scene: GovernedScene,
         node: float | None,
         changes: Iterable[float],
-    ) -> tuple[float, list[FiniteElementModel]] | None:
-        """Return the diameter [m] of a supporting ring, and full models on changed rings.
+    ) -> dict[float, FiniteElementModel]:
+        """Return full models on changed supporting rings, by their diameters [m].
 
         The ring of a free body is its circle without motion, which has the diameter ``node``.
-        ``changes`` are relative changes of the diameter. The result is None for other supports.
+        ``changes`` are relative changes of the diameter; rings beyond the body are left out. The
+        result is empty for other supports.
         """
-        return None
+        return {}
 
-    def radiating_surfaces(
-        self, part: Part[FieldKeysT], scene: Scene
-    ) -> dict[str, tuple[str, RadiationKeys]]:
-        """Return name and keys of the radiation of each face, by the name of its port."""
+    def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FacingFluid]:
+        """Return the fluid in front of each face, by the name of its port."""
+        from kc2spice.parts.bodies._face_response import FacingFluid
+
         result = {}
         for port in self.used_ports(part, scene):
             if port.domain is not ACOUSTIC:
                 continue
+            facing = list[FacingFluid]()
             for name, pin in scene.joined(part.name, port.terminals[0]):
-                keys = scene.parts[name].keys
-                if pin == FACE and isinstance(keys, RadiationKeys):
-                    result[port.name] = name, keys
+                kind, keys = scene.parts[name].type, scene.parts[name].keys
+                if isinstance(kind, AcousticPart) and pin in kind.ends(scene.parts[name]):
+                    assert isinstance(keys, FluidKeys)
+                    radiation = keys if isinstance(keys, RadiationKeys) else None
+                    volume = kind.fluid_volume(scene.parts[name])
+                    facing.append(FacingFluid((name,), keys.fluid, radiation, volume))
+            if facing:
+                direct = [item for item in facing if item.radiation is not None]
+                others = direct[:1] or facing
+                names = tuple(item.names[0] for item in others)
+                volume = min(item.volume for item in others)
+                result[port.name] = replace(others[0], names=names, volume=volume)
         return result
 
     def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
         """Return the pins of faces that radiate into a gas."""
-        radiations = self.radiating_surfaces(part, scene)
-        return {port for port, (_, keys) in radiations.items() if keys.fluid.is_gas}
+        facing = self.facing_fluids(part, scene)
+        return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
     def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
-        """Return the differences of each radiating face from a piston, by the name of its port."""
+        """Return the differences of each face from a piston, by the name of its port."""
         result = {}
-        for port, (_, keys) in self.radiating_surfaces(part, scene).items():
-            levels = self._load_levels(part, scene, port, keys)
+        for port, facing in self.facing_fluids(part, scene).items():
+            levels = self._load_levels(part, scene, port, facing)
             if levels is not None:
                 result[port] = levels
         return result
 
     def _load_levels(
-        self, part: Part[FieldKeysT], scene: Scene, port: str, keys: RadiationKeys
+        self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FacingFluid
     ) -> FaceLevels | None:
-        from kc2spice.parts.bodies._face_levels import MAX_MODES, FaceLevels, FaceOfBody
+        from kc2spice.parts.acoustics._acoustic_load import collect_load
+        from kc2spice.parts.bodies._face_levels import FaceLevels
+        from kc2spice.parts.bodies._face_response import MAX_MODES, FaceOfBody
 
         end = float(self.reduction(part, scene).band[1])
         # a transient excites the first resonance most, and its band does not limit the sound
         count = MAX_MODES if scene.analysis.small else 1
+        faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
+        joined = tuple(item.name for item in faces)
+        load = collect_load(scene, part.name, [item.terminals[0] for item in faces])
+        radiation = facing.radiation
         key: dict[str, Any] = {
             "full": self.full_key(part, scene),
             "port": port,
             "end": end,
             "count": count,
-            "radiation": keys.model_dump(mode="json"),
+            "fluid": facing.fluid.model_dump(mode="json"),
+            "volume": facing.volume,
+            "radiation": None if radiation is None else radiation.model_dump(mode="json"),
+            "load": {"ports": list(joined), **load.record()},
         }
 
         def build() -> FaceLevels | None:
-            """Return the model of the part."""
-            face = FaceOfBody(self.device(part, scene), port, keys, end, count)
+            """Compute the differences on the full model."""
+            face = FaceOfBody(self.device(part, scene), port, facing, joined, load, end, count)
             return self._estimate_levels(part, scene, face)
 
-        def load() -> FaceLevels | None:
-            sources = (*LEVEL_SOURCES, __name__)
+        def load_or_estimate() -> FaceLevels | None:
+            """Return the differences from the cache of files, or compute them."""
+            sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
 
-        return scene.workspace.get_or_compute(f"{port} of {part.name}", key, load)
+        return scene.workspace.get_or_compute(f"{port} of {part.name}", key, load_or_estimate)
 
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: FaceOfBody
     ) -> FaceLevels | None:
         """Compare a face with a piston, also on rings of other diameters."""
-        from dataclasses import replace
-
-        from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels, level_near
+        from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
-        if result is None:
-            return None
-        rings = self.devices_on_rings(part, scene, result.node, (-TOLERANCE, TOLERANCE))
-        if rings is None:
+        if result is None or result.detuned is None:
             return result
-        diameter, devices = rings
-        level, others = level_near(face, result.resonance), []
-        for device in devices:
-            others.append(level_near(replace(face, device=device), result.resonance) - level)
-        return replace(result, ring=diameter, support=tuple(others))
+        rings = self.devices_on_rings(part, scene, result.node, (-TOLERANCE, TOLERANCE))
+        level, others = face.loudest_near(result.resonance) if rings else 0.0, []
+        for device in rings.values():
+            changed = replace(face, device=device)
+            others.append(changed.loudest_near(result.resonance) - level)
+        return replace(result, rings=tuple(rings), support=tuple(others))
 
     def build(
         self, part: Part[FieldKeysT], scene: Scene, clock: Clock, full: bool = False
@@ -135,24 +156,26 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
         result = super().build(part, scene, clock, full)
-        radiations = {} if full else self.radiating_surfaces(part, scene)
-        if radiations:
+        facing = {} if full else self.facing_fluids(part, scene)
+        if facing:
             for port, levels in self.face_levels(part, scene).items():
                 name = f"{part.name}.{port}"
-                if text := describe_piston_difference(name, radiations[port][0], levels):
+                if text := describe_piston_difference(name, facing[port], levels):
                     warnings.warn(text, stacklevel=2)
         return result
 
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
-        """Yield the effects of each assumption about a radiating face on its level."""
         yield from super().neglected(part, scene)
-        if not self.radiating_surfaces(part, scene):
+        facing = self.facing_fluids(part, scene)
+        if not facing:
             return
         from kc2spice.parts.bodies._face_levels import list_level_effects
 
         effects: dict[Neglected, None] = {}
         for port, levels in self.face_levels(part, scene).items():
-            effects |= dict.fromkeys(list_level_effects(part.name, port, levels))
+            direct = facing[port].radiation is not None
+            rows = list_level_effects(part.name, port, levels, direct=direct)
+            effects |= dict.fromkeys(rows)
         yield from effects
 
     def figures(
@@ -195,10 +218,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         result = super().metrics(part, build, waves)
-        if not self.radiating_surfaces(part, build.scene):
+        if not self.facing_fluids(part, build.scene):
             return result
         faces = self.face_levels(part, build.scene).values()
-        totals = [levels.total for levels in faces]
+        totals = [levels.total for levels in faces if levels.total is not None]
         nodes = [levels.node for levels in faces if levels.node is not None]
         error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}
         node = {"nodal_circle_m": Metric(nodes[0], "m")} if nodes else {}

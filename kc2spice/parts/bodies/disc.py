@@ -286,20 +286,21 @@ class Disc(BondedBody[DiscKeys]):
         scene: GovernedScene,
         node: float | None,
         changes: Iterable[float],
-    ) -> tuple[float, list[FiniteElementModel]] | None:
-        """Return the diameter of the supporting ring, and models on other rings."""
+    ) -> dict[float, FiniteElementModel]:
+        """Return models on rings of other diameters."""
         keys, faces = part.keys, self.sounding(part, scene).faces
-        diameter = node if keys.support == "free" else None
-        if isinstance(keys.support, Node):
-            diameter = keys.support.node
+        diameters = {"free": node, "simply_supported": keys.largest_diameter, "clamped": None}
+        support = keys.support
+        diameter = support.node if isinstance(support, Node) else diameters[support]
+        devices = dict[float, FiniteElementModel]()
         if diameter is None:
-            return None
-        devices = []
+            return devices
         for change in changes:
-            ring = Node(node=min(diameter * (1 + change), keys.largest_diameter))
-            body = disc_body(keys.model_copy(update={"support": ring}), part.name)
-            devices.append(replace(body, faces=faces).device())
-        return diameter, devices
+            ring = diameter * (1 + change)
+            if ring <= keys.largest_diameter:
+                body = disc_body(keys.model_copy(update={"support": Node(node=ring)}), part.name)
+                devices[ring] = replace(body, faces=faces).device()
+        return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
         """Return whether the rim of the disc is supported."""

@@ -1,0 +1,164 @@
+"""Acoustic parts behind the faces of a body: their impedance, and the sound that they radiate.
+
+:func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. The
+nodal equations ``Y p = U`` of their elements, with admittances ``1 / (j omega M)``, ``1 / R`` and
+``j omega C``, give the pressures of unit volume velocities. The far field of each part of type
+``radiation`` follows from the pressure on it and the volume velocity through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from kc2spice.core.domains import ACOUSTIC, AMBIENT
+from kc2spice.parts.acoustics._acoustic_part import COMPLIANCE, MASS, AcousticPart
+from kc2spice.parts.acoustics.radiation import FACE, FarField, RadiationKeys, find_far_field
+from kc2spice.scene.model import Part, Scene
+
+GROUND = "0"  # node of the netlist
+MAX_DENSE_NODES = 60  # number of nodes above which the equations are sparse
+# Exponent of j omega in the admittance of an element; a resistance has none.
+ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Element between two nodes: ``(j omega)^power * value`` is its admittance in SI."""
+
+    plus: str
+    minus: str
+    power: int
+    value: float
+
+
+@dataclass(frozen=True)
+class SoundSource:
+    """Radiating surface at a node, and the branches through which its volume velocity flows.
+
+    ``branches`` contains numbers of branches and signs.
+    """
+
+    node: str
+    branches: tuple[tuple[int, float], ...]
+    far_field: FarField
+
+
+@dataclass(frozen=True)
+class AcousticLoad:
+    """Acoustic elements behind faces, whose nets are ``faces``.
+
+    ``complete`` is False if a part of another type, such as a loudspeaker, is joined too.
+    """
+
+    faces: tuple[str, ...]
+    branches: tuple[Branch, ...]
+    sources: tuple[SoundSource, ...]
+    complete: bool
+
+    def record(self) -> dict[str, Any]:
+        """Return the data that determine the load, as plain values."""
+        branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
+        sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
+        return {"faces": list(self.faces), "branches": branches, "sources": sources}
+
+    def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return impedances [Pa s/m3] and sound pressures [Pa s/m3] per unit volume velocity.
+
+        The impedances (frequencies, faces, faces) are the pressures at the faces, and the sound
+        pressures (frequencies, faces) those at the reference distance, at which all sources are.
+        """
+        nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
+        place = {node: k for k, node in enumerate(nodes)}
+        incidence = sparse.lil_array((len(nodes), len(self.branches)))
+        for k, branch in enumerate(self.branches):
+            for node, sign in ((branch.plus, 1.0), (branch.minus, -1.0)):
+                if node != GROUND:
+                    incidence[place[node], k] += sign
+        A = sparse.csc_array(incidence)
+        faces = [place.get(net) for net in self.faces]
+        push = np.zeros((len(nodes), len(faces)), complex)
+        for column, row in enumerate(faces):
+            if row is not None:
+                push[row, column] = 1.0
+        powers = np.array([b.power for b in self.branches])
+        values = np.array([b.value for b in self.branches])
+        count, s = len(faces), 2j * np.pi * np.asarray(frequency, dtype=float)
+        admittances = s[:, None] ** powers * values
+        p = _solve_nodes(A, admittances, push)
+        flow = admittances[:, :, None] * (A.T.toarray() @ p)
+        Z = np.zeros((s.size, count, count), complex)
+        sound = np.zeros((s.size, count), complex)
+        for row, face in enumerate(faces):
+            if face is not None:
+                Z[:, row] = p[:, face]
+        for source in self.sources:
+            through = sum(sign * flow[:, number] for number, sign in source.branches)
+            sound += source.far_field.evaluate(s[:, None], p[:, place[source.node]], through)
+        return Z, sound
+
+
+def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray) -> np.ndarray:
+    """Solve ``A diag(y) A' p = push`` for each row y of the admittances."""
+    if A.shape[0] <= MAX_DENSE_NODES:
+        dense = A.toarray()
+        return np.asarray(np.linalg.solve((dense * admittances[:, None]) @ dense.T, push[None]))
+    solutions = []
+    for row in admittances:
+        Y = sparse.csc_array(A @ sparse.diags_array(row) @ A.T)
+        solutions.append(splu(Y).solve(push))
+    return np.stack(solutions)
+
+
+def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
+    """Collect the acoustic parts behind pins of a body."""
+    faces = tuple(scene.net(body, pin) for pin in pins)
+    nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
+    waiting = set(nets)
+    while waiting:
+        net = waiting.pop()
+        for name, pin in _pins_on(scene, net):
+            part, acoustic = scene.parts[name], scene.terminals[name, pin].domain is ACOUSTIC
+            if isinstance(part.type, AcousticPart):
+                parts[name] = part
+                ends = {scene.net(name, end) for end in (*part.type.ends(part), AMBIENT)}
+                waiting |= ends - nets - {GROUND}
+                nets |= ends - {GROUND}
+            elif acoustic and name != body:
+                complete = False
+    branches, sources = list[Branch](), list[SoundSource]()
+    for part in parts.values():
+        _add_part(part, scene, branches, sources)
+    return AcousticLoad(faces, tuple(branches), tuple(sources), complete)
+
+
+def _pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
+    """Return the pins on a net."""
+    return [key for key, other in scene.nets.items() if other == net]
+
+
+def _add_part(part: Part, scene: Scene, branches: list[Branch], sources: list[SoundSource]) -> None:
+    """Append the branches of a part, and its radiating surface."""
+    kind = part.type
+    assert isinstance(kind, AcousticPart)
+    network = kind.network(part, scene)
+    first, *others = kind.ends(part)
+    nodes = {network.exits.get(pin, pin): scene.net(part.name, pin) for pin in (*others, AMBIENT)}
+    nodes[network.entry] = scene.net(part.name, first)
+    entering = list[tuple[int, float]]()
+    for item in network.elements:
+        power = ADMITTANCE_POWERS.get(item.kind, 0)
+        value = network.value(item)
+        for node, sign in ((item.plus, 1.0), (item.minus, -1.0)):
+            if node == network.entry:
+                entering.append((len(branches), sign))
+        plus, minus = (nodes.get(node, f"{part.name}.{node}") for node in (item.plus, item.minus))
+        branches.append(Branch(plus, minus, power, value if power > 0 else 1 / value))
+    if isinstance(part.keys, RadiationKeys):
+        source = find_far_field(part.keys)
+        sources.append(SoundSource(scene.net(part.name, FACE), tuple(entering), source))
