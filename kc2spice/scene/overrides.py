@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.quantities import clip_text
 from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
 from kc2spice.scene.scene_file import open_scene
@@ -141,14 +141,15 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
             expected=_EXAMPLES,
         )
     path: list[str] = []
-    so_far = ""
+    so_far, near = "", None
     holder: Any = data
     key: str | int = ""
     for step in steps:
-        key = _find_key(holder, step, so_far, where)
+        key = _find_key(holder, step, so_far, where, near)
         path.append(str(key))
         so_far += step if step[0] == "[" or not so_far else f".{step}"
         if len(path) < len(steps):
+            near = _suggest_list(holder, str(key))
             holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
     if isinstance(holder, dict):
         holder.pop(_EXCLUSIVE_KEYS.get(name, ""), None)
@@ -156,8 +157,16 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
     return tuple(path)
 
 
-def _find_key(holder: Any, step: str, so_far: str, where: str) -> str | int:
+def _suggest_list(holder: Any, key: str) -> str | None:
+    """Return the hint at a list of the table ``holder`` whose name is similar to ``key``."""
+    table = holder if isinstance(holder, dict) else {}
+    return did_you_mean(key, [name for name, value in table.items() if isinstance(value, list)])
+
+
+def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None) -> str | int:
     """Return the key of a table, or the index of a list, for a step of a dotted key.
+
+    ``near`` is the hint at a list with a similar name.
 
     Raises
     ------
@@ -166,16 +175,28 @@ def _find_key(holder: Any, step: str, so_far: str, where: str) -> str | int:
     if step[0] != "[":
         if isinstance(holder, dict):
             return step
-        entries = f"its entries are {so_far}[0], …" if isinstance(holder, list) else None
-        raise UsageError(f"{so_far} is a value, not a table", where=where, hint=entries)
+        if isinstance(holder, list):
+            hint = f"name an entry, such as {so_far}[0].{step}"
+            raise UsageError(f"{so_far} is a list, not a table", where=where, hint=hint)
+        hint = f"write {so_far}=VALUE"
+        raise UsageError(f"{so_far} is a value, not a table", where=where, hint=hint)
     if not isinstance(holder, list):
-        hint = f"give all of it: {so_far} = [ … ]"
-        raise UsageError(f"{so_far} is not a list in this scene", where=where, hint=hint)
+        raise UsageError(
+            f"{so_far} is not a list in this scene",
+            where=where,
+            hint=near or f"state the whole list: {so_far}=[ … ]",
+        )
     index, count = int(step[1:-1]), len(holder)
     if not -count <= index < count:
         expected = f"{so_far}[0] … {so_far}[{count - 1}]" if count else "a list with entries"
         raise UsageError(
-            "the list has no such entry", where=where, got=so_far + step, expected=expected
+            "the list has no such entry",
+            where=where,
+            got=so_far + step,
+            expected=expected,
+            hint=f"write {so_far}[{count - 1}] for the last entry"
+            if count
+            else f"set {so_far}=[ … ]",
         )
     return index % count
 

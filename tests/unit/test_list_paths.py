@@ -45,7 +45,7 @@ def test_entries_are_swept_and_drawn():
     [
         ("beam.layers[3].thickness=1 mm", ("no such entry", "beam.layers[0] … beam.layers[2]")),
         ("beam.layers[-4].thickness=1 mm", ("no such entry", "beam.layers[-4]")),
-        ("beam.layers.thickness=1 mm", ("beam.layers is a value, not a table", "beam.layers[0]")),
+        ("beam.layers.thickness=1 mm", ("beam.layers is a list, not a table", "beam.layers[0]")),
         ("beam.length[0]=1 mm", ("beam.length is not a list",)),
         ("beam.layers[0].thicknes=1 mm", ("unknown key", "thickness")),
         ("beam.layers[0].thickness=1 kg", ("beam.layers[0].thickness=1 kg",)),

@@ -235,7 +235,9 @@ stop = "20 kHz"
         if keys.shape != "sphere":
             words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
             yield Neglected("size of the baffle", words, "up to 6 dB at low frequencies")
-            yield Neglected("shape of the motion", "all points move alike", "not estimated")
+            yield Neglected(
+                "shape of the motion", "all points have the same velocity", "not estimated"
+            )
 
 
 @dataclass(frozen=True)

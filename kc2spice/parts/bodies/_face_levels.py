@@ -203,10 +203,10 @@ def list_level_effects(
 
     if direct:
         shape = f"{levels.power:+.1f} dB of power at {place}"
-        yield effect(f"motion of {port}", "that of a piston", shape)
+        yield effect(f"motion of {port}", "a piston", shape)
     else:
         share = f"{levels.piston_ratio:.2g} of the volume velocity of a piston at {place}"
-        yield effect(f"motion of {port}", "that of a piston", share)
+        yield effect(f"motion of {port}", "a piston", share)
         yield effect(f"near field of {port}", "uniform pressure", _describe_near_field(levels))
     if levels.unbaffled is not None:
         size = f"about {levels.unbaffled:+.0f} dB without a baffle"

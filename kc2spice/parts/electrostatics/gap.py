@@ -427,11 +427,15 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
         what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
         if top:
             size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
-        yield what, "their dampers alone", size
+        yield what, "only their dampers are modelled", size
         what = "pressure that is odd along the face, rarefaction, inertia of the gas"
-        yield what, "Blech's series of a face that moves alike on both sides", "not estimated"
+        yield what, "Blech's series for a face with the same motion everywhere", "not estimated"
         what = "a spring of the gas that stiffens as the gap closes"
-        yield what, "it is that at rest", "of the order of gap / what is left"
+        yield (
+            what,
+            "the stiffness at rest is used",
+            "of the order of gap at rest / remaining gap",
+        )
     yield "tilt within a patch", "one displacement each", "more patches show it"
     yield _stop.STOP_NEGLECTED
 

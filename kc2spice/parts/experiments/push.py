@@ -101,9 +101,11 @@ class Push(TouchablePart[PushKeys]):
         """Yield the tolerances that resolve the closing of the contact rings."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _pair(part, scene).keys.shape == "pressure":
-            last = "1e-12", "the law is curved: what the last iteration leaves"
-        pivots = "rings close during the sweep; pivots of an open ring lose half the digits"
-        near = "1e-12", "displacements to a picometre's millionth"
+            last = "1e-12", "the law is curved, and this is the error of the last iteration"
+        pivots = (
+            "rings close during the sweep, and small pivots of an open ring would be inaccurate"
+        )
+        near = "1e-12", "resolution of displacements: 1e-12 um"
         options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
         yield Numerics("imprint", options=options)
 

@@ -155,8 +155,8 @@ elastic = true
 
     def neglected(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[Neglected]:
         """Yield the ringing of the sphere during its free flight."""
-        why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
-        yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
+        why = "steps do not resolve it in flight, and it does not change the path of the centre"
+        yield Neglected(f"free ringing of {part.keys.of}", why, "none on the path")
 
     def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
