@@ -55,6 +55,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.memory": "available_bytes",
     "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES mesh_errors",
     "kc2spice.core.prefix": "format_quantity format_value_and_limit",
+    "kc2spice.core.probe_values": "mean_frequency",
     "kc2spice.core.progress": (
         "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
     ),
@@ -67,7 +68,6 @@ NAMES_BY_MODULE = {
     "kc2spice.core.untrusted_files": (
         "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
     ),
-    "kc2spice.core.probe_values": "mean_frequency",
     "kc2spice.core.waveforms": (
         "PulseKeys RecordedWave Waveforms constant_waveform differentiate linear_waveform "
         "pulse_waveform sine_waveform"
@@ -246,7 +246,6 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
     "kc2spice.workflow.methods": "compare_methods",
-    "kc2spice.workflow.verdict": "list_checks with_undecided",
     "kc2spice.workflow.misfit": "estimate_covariance find_likely_cause rms_misfit",
     "kc2spice.workflow.models": "build_models model_values value_units",
     "kc2spice.workflow.orders": "suggested_keys",
@@ -261,6 +260,7 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.sweep.row_store": "RowStore columns write_csv",
     "kc2spice.workflow.sweep.workers": "dask_workers local_workers",
     "kc2spice.workflow.time_step": "choose_largest_step",
+    "kc2spice.workflow.verdict": "list_checks with_undecided",
     "kc2spice.workflow.verify": "bodies",
     "kc2spice.workflow.verify.bodies": "compare_responses",
     "kc2spice.workflow.verify.differences": (
