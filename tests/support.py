@@ -54,6 +54,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.magnets": "EMTable TEST_CURRENTS compute_test_forces current_products",
     "kc2spice.core.memory": "available_bytes",
     "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES mesh_errors",
+    "kc2spice.core.plugins": "load_plugin plugin_names",
     "kc2spice.core.prefix": "format_quantity format_value_and_limit",
     "kc2spice.core.probe_values": "mean_frequency",
     "kc2spice.core.progress": (

@@ -14,11 +14,11 @@ import pkgutil
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.plugins import load_plugin, plugin_names
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
 from kc2spice.netlist.spelling import require_name
@@ -150,9 +150,8 @@ def type_names() -> tuple[str, ...]:
     for name, module in modules.items():
         if name.endswith(SHARED_MODULE_SUFFIX):
             import_module(module)
-    foreign = (entry.name for entry in _external_entry_points())
     built_in = (name for name in modules if not name.endswith(SHARED_MODULE_SUFFIX))
-    return tuple(sorted({*_types, *foreign, *built_in}))
+    return tuple(sorted({*_types, *plugin_names(PARTS_PACKAGE), *built_in}))
 
 
 @cache
@@ -166,12 +165,6 @@ def _list_modules() -> Mapping[str, str]:
     return result
 
 
-@cache
-def _external_entry_points() -> tuple[EntryPoint, ...]:
-    """Return entry points of part types in other installed distributions."""
-    return tuple(entry_points(group=PARTS_PACKAGE))
-
-
 def find_part_type(name: str) -> PartType | None:
     """Return the part type of this name; load its module first. None without such a module.
 
@@ -180,10 +173,17 @@ def find_part_type(name: str) -> PartType | None:
     if name not in _types and name in _list_modules():
         import_module(_list_modules()[name])
     if name not in _types and name in type_names():
-        for entry in _external_entry_points():
-            result = entry.load() if entry.name == name else None
-            if isinstance(result, PartType):
-                register(result)
+        result = load_plugin(PARTS_PACKAGE, name)
+        if result is not None and not isinstance(result, PartType):
+            raise UsageError(
+                "this object is not a part type",
+                where=f"entry point {name} of {PARTS_PACKAGE}",
+                got=repr(result),
+                expected="an instance of kc.DeclaredPart or kc.PartType",
+                hint="correct the entry point as in docs/how-to/own_part.md",
+            )
+        if result is not None:
+            register(result)
     return _types.get(name)
 
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import pkgutil
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.plugins import load_plugin, plugin_names
 from kc2spice.netlist.printers.dialect import Dialect
 
 ENTRY_POINT_GROUP = "kc2spice.dialects"
@@ -66,26 +66,25 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
     >>> [path.name for path in kc.export(lamp, "for_example", dialect="example")]
     ['lamp.cir']
     """
-    _require_dialect(dialect)
-    _dialects[dialect.dialect] = dialect
+    _dialects[dialect.dialect] = _require_dialect(dialect, "register_dialect")
     return dialect
 
 
-def _require_dialect(value: object) -> None:
-    """Raise an error if a value is not a dialect class that can be instantiated."""
+def _require_dialect(value: object, where: str) -> type[Dialect]:
+    """Return a dialect class; raise an error if it cannot be instantiated."""
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
         titled = value.title != Dialect.title  # the title of ngspice is inherited
         named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
         if not missing and named and titled:
-            return
+            return value
         got = f"{value.__name__} with the name {value.dialect!r} and the title {value.title!r}"
         attribute = "title = 'NAME OF THE SIMULATOR'" if named else "dialect = 'NAME'"
         hint = f"define {missing}" if missing else f"set {attribute} in {value.__name__}"
     raise UsageError(
         "this object is not a netlist dialect",
-        where="register_dialect",
+        where=where,
         got=got,
         expected="a subclass of kc.Dialect with a name, a title and all methods",
         hint=hint,
@@ -99,15 +98,9 @@ def _module_names() -> tuple[str, ...]:
     return tuple(map(attrgetter("name"), modules))
 
 
-@cache
-def _entry_points() -> tuple[EntryPoint, ...]:
-    """Return the dialects of other distributions from their metadata."""
-    return tuple(entry_points(group=ENTRY_POINT_GROUP))
-
-
 def deck_dialects() -> tuple[str, ...]:
     """Return the names of all dialects in which a deck can be written, ngspice first."""
-    foreign = map(attrgetter("name"), _entry_points())
+    foreign = plugin_names(ENTRY_POINT_GROUP)
     return tuple(dict.fromkeys((NGSPICE, *_module_names(), *foreign, *_dialects)))
 
 
@@ -121,13 +114,13 @@ def find_dialect(name: str) -> type[Dialect]:
 
     Raises
     ------
-    UsageError : no dialect with a printer has this name.
+    UsageError : no dialect with a printer has this name, or its package cannot be imported.
     """
     if name not in _dialects and name in _module_names():
         import_module(f"{DIALECT_PACKAGE}.{name}")
-    for entry in _entry_points():
-        if name not in _dialects and entry.name == name:
-            register_dialect(entry.load())
+    if name not in _dialects and name in plugin_names(ENTRY_POINT_GROUP):
+        dialect = load_plugin(ENTRY_POINT_GROUP, name)
+        _dialects[name] = _require_dialect(dialect, f"entry point {name} of {ENTRY_POINT_GROUP}")
     if name not in _dialects:
         raise unknown("this dialect does not exist", name, dialect_names(), "--dialect")
     return _dialects[name]

@@ -6,11 +6,11 @@ Other packages declare their methods as entry points of the group :data:`ENTRY_P
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import entry_points
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.plugins import load_plugin, plugin_names
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
@@ -72,15 +72,14 @@ def register_reductor(reductor: Reductor) -> Reductor:
     >>> kc.reduce(model, order=2, band=(0, 0.1), method="modal truncation").order
     2
     """
-    _require_reductor(reductor, "register_reductor")
-    _reductors[reductor.name] = reductor
+    _reductors[reductor.name] = _require_reductor(reductor, "register_reductor")
     return reductor
 
 
-def _require_reductor(value: object, where: str) -> None:
-    """Raise an error if a value is not a reductor or has no name."""
+def _require_reductor(value: object, where: str) -> Reductor:
+    """Return a reductor; raise an error if the value is none or has no name."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
-        return
+        return value
     expected, got = "an instance of a subclass of kc.Reductor with a name", repr(value)
     hint = "write a subclass of kc.Reductor as in docs/how-to/own_reductor.md"
     if isinstance(value, type) and issubclass(value, Reductor):
@@ -98,9 +97,9 @@ def _require_reductor(value: object, where: str) -> None:
 @cache
 def _load_installed_reductors() -> None:
     """Register the methods of other distributions; methods of the same name have precedence."""
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        reductor = entry.load()
-        _require_reductor(reductor, f"entry point {entry.name} of {ENTRY_POINT_GROUP}")
+    for name in plugin_names(ENTRY_POINT_GROUP):
+        where = f"entry point {name} of {ENTRY_POINT_GROUP}"
+        reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
         _reductors.setdefault(reductor.name, reductor)
 
 
@@ -129,8 +128,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
     UsageError : no method has this name, or the value is neither a name nor a method.
     """
     if not isinstance(method, str):
-        _require_reductor(method, "method")
-        return method
+        return _require_reductor(method, "method")
     require_method_name(
         method, "method", "leave out method, or register your own with kc.register_reductor first"
     )

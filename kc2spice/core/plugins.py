@@ -1,0 +1,58 @@
+"""Part types, dialects and reductors of other installed packages.
+
+Another package declares such objects as entry points of a group. The name of an entry point is the
+name of its object (Python Packaging User Guide, "Entry points specification").
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from operator import attrgetter
+
+from kc2spice.core.errors import UsageError
+
+
+@cache
+def _list_entry_points(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group from the metadata of all installed packages."""
+    return tuple(entry_points(group=group))
+
+
+def plugin_names(group: str) -> tuple[str, ...]:
+    """Return the names of the entry points of a group; no module is imported.
+
+    Examples
+    --------
+    >>> plugin_names("kc2spice.no_such_group")
+    ()
+    """
+    return tuple(map(attrgetter("name"), _list_entry_points(group)))
+
+
+def load_plugin(group: str, name: str) -> object:
+    """Import the object of an entry point; None if the group has no entry point of this name.
+
+    Raises
+    ------
+    UsageError : the import fails.
+
+    Examples
+    --------
+    >>> load_plugin("kc2spice.no_such_group", "varistor") is None
+    True
+    """
+    entry = next((item for item in _list_entry_points(group) if item.name == name), None)
+    if entry is None:
+        return None
+    try:
+        return entry.load()
+    except Exception as error:  # another package can raise any error when it is imported
+        package = "the package" if entry.dist is None else entry.dist.name
+        raise UsageError(
+            "an installed package cannot be imported",
+            where=f"entry point {name} of {group}",
+            got=f"{type(error).__name__}: {error}",
+            expected=f"{entry.value} in {package}",
+            hint=f"correct {package}, or remove it with  pip uninstall {package}",
+        ) from error
