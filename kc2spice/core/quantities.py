@@ -338,6 +338,14 @@ _UNITS = {
     "F": (0, -1, -2, 4, 2, 0), "H": (0, 1, 2, -2, -2, 0), "Wb": (0, 1, 2, -2, -1, 0),
     "T": (0, 1, 0, -2, -1, 0), "l": (-3, 0, 3, 0, 0, 0), "L": (-3, 0, 3, 0, 0, 0),
 }  # fmt: skip
+# Symbols of units that users write as words, by the singular of the word.
+_UNIT_WORDS = {
+    "gram": "g", "kilogram": "kg", "metre": "m", "meter": "m", "millimetre": "mm",
+    "millimeter": "mm", "micrometer": "um", "micron": "um", "second": "s", "sec": "s", "volt": "V",
+    "ampere": "A", "amp": "A", "ohm": "Ohm", "farad": "F", "henry": "H", "newton": "N",
+    "pascal": "Pa", "watt": "W", "joule": "J", "kelvin": "K", "tesla": "T", "hertz": "Hz",
+    "percent": "%",
+}  # fmt: skip
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
 _UNIT_SPELLINGS = str.maketrans(
@@ -441,6 +449,10 @@ def _suggest_spelling(value: object, si: str) -> str | None:
     if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
     begun = _NUMBER.fullmatch(value.rstrip())
+    if begun is not None and (symbol := _UNIT_WORDS.get(begun[2].lower().removesuffix("s"))):
+        with contextlib.suppress(ValueError):
+            _parse_quantity(f"{begun[1]} {symbol}", si)
+            return f'write  "{begun[1]} {symbol}"'
     if begun is not None and begun[2] and si.startswith((f"{begun[2]}/", f"{begun[2]} ")):
         return f'write  "{begun[1]} {si}"'
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
@@ -456,7 +468,9 @@ def _suggest_spelling(value: object, si: str) -> str | None:
     if _parse_unit(begun[2]) is not None:
         return f'write  "{begun[1]} {si}"  if the value is in {si}' if si else f"write {begun[1]}"
     near = get_close_matches(begun[2], [f"{prefix}{si}" for prefix in ("", *_PREFIX)], 1, 0.7)
-    return f'write  "{begun[1]} {near[0] if near else si}"' if si else f"write {begun[1]}"
+    if near or not si:
+        return f'write  "{begun[1]} {near[0]}"' if near else f"write {begun[1]}"
+    return f'write  "{begun[1]} {si}"  if the value is in {si}'
 
 
 def invalid_value_error(

@@ -244,8 +244,33 @@ def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
         yield _Repair("a backslash between double quotes", number, plain, _suggest_line(plain))
 
 
+def _repair_separator(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of a semicolon between the keys of an inline table."""
+    line = lines[number - 1]
+    masked = _mask_strings(line)
+    if ";" in masked:
+        repaired = "".join("," if m == ";" else c for c, m in zip(line, masked, strict=True))
+        yield _Repair("a comma separates keys, not a semicolon", number, repaired,
+                      _suggest_line(repaired))  # fmt: skip
+
+
+def _repair_round_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of a list in round brackets."""
+    for at in range(number, max(0, number - MAX_BRACKET_LINES), -1):
+        masked = _mask_strings(lines[at - 1])
+        if re.search(r"=\s*\(", masked):
+            start = masked.index("(", masked.index("="))
+            line = f"{lines[at - 1][:start]}[{lines[at - 1][start + 1 :]}"
+            end = masked.rfind(")")
+            line = f"{line[:end]}]{line[end + 1 :]}" if end > start else line
+            yield _Repair("a list is between [ and ], not ( and )", at, line, _suggest_line(line))
+            return
+
+
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
+    _repair_round_brackets,
+    _repair_separator,
     _repair_quotes,
     _repair_unmatched_quote,
     _repair_brackets,

@@ -260,7 +260,7 @@ class Waveform:
         result = self.knots(stop)[0] if self.straight else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
-    def spice(self, scale: float = 1.0) -> str:
+    def format_spice(self, scale: float = 1.0) -> str:
         """Format the value of an independent source in SPICE syntax, times ``scale``.
 
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as

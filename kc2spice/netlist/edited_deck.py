@@ -95,6 +95,13 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     the meaning of the parts, the analysis differs from that of the scene, or a required vector is
     not saved or does not exist.
     """
+    if path.suffix == ".toml":
+        raise UsageError(
+            "this file is a TOML file, not a netlist",
+            where=str(path),
+            expected="a netlist that kc2spice export or kc2spice run wrote",
+            hint=f"kc2spice run {path} runs a scene",
+        )
     result = read_checked_circuit(path, trust=original.trusted)
     cards = list(result.cards(title=True))
     check_deck_effects(cards, part=False)

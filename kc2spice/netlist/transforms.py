@@ -162,7 +162,11 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
     if not 1 <= count <= MAX_COPIES:
         expected = f"1 to {MAX_COPIES}"
         raise UsageError(
-            "the number of copies is not valid", where="--count", got=count, expected=expected
+            "the number of copies is not valid",
+            where="--count",
+            got=count,
+            expected=expected,
+            hint="for example --count 2",
         )
     if deck.command.kind == "dc":
         message, got = "a dc sweep cannot vary the sources of several copies", deck.command.card

@@ -96,7 +96,11 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
         expected = (
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
-        near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
+        files = [item.name for item in path.parent.glob("*.toml")]
+        near = next(
+            (f"did you mean {file!r}?" for file in files if file == f"{path.stem}.toml"), ""
+        )
+        near = near or did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
         hint = near or f"{listing}, kc2spice parts the part numbers"
         return UsageError("this scene does not exist", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):

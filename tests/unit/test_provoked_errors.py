@@ -102,6 +102,10 @@ def rows(text):
          "disc.layers[9]", "disc.layers[1] for the last"),
         ("run buzzer_7bb_20_6 --set disc.layers.thickness=1mm", "disc.layers is a list", "",
          "disc.layers[0].thickness"),
+        ("run impact --set sphere.radius=1micron", "unknown unit 'micron'", "'1micron'",
+         'write  "1 um"'),
+        ("export impact --count 0", "--count: the number of copies is not valid", "0",
+         "--count 2"),
         ("run impact --set sphere.mas", "the value of the key is missing", "'sphere.mas'",
          "write sphere.radius=VALUE"),
         ("run buzzer_7bb_20_6 --set disc", "the value of the key is missing", "'disc'",
@@ -178,6 +182,29 @@ def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
     assert f"own.toml, line {place}, key " in found["head"]
     assert head in found["head"]
     assert advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "place", "head", "advice"),
+    [
+        ('pins = { a = "battery.out" }', 'pins = { a = "battery.out"; b = "gnd" }', 7,
+         "a comma separates keys", 'pins = { a = "battery.out", b = "gnd" }'),
+        ('dc = "10 V"', "pwl = ([0, 0], [1, 1])", 3, "a list is between [ and ]",
+         "pwl = [[0, 0], [1, 1]]"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_the_syntax_of_a_scene(cli, line, otherwise, place, head, advice):
+    Path("own.toml").write_text(DIVIDER.replace(line, otherwise))
+    found = rows(cli("run", "own.toml").stderr)
+    assert f"own.toml, line {place}: {head}" in found["head"]
+    assert found["next"] == f"write  {advice}"
+
+
+def test_a_scene_as_a_deck_and_a_misspelt_suffix(cli):
+    Path("own.toml").write_text(DIVIDER)
+    found = rows(cli("run", "own.toml", "--deck", "own.toml").stderr)
+    assert "own.toml: this file is a TOML file, not a netlist" in found["head"]
+    assert rows(cli("run", "own.tml").stderr)["next"] == "did you mean 'own.toml'?"
 
 
 @pytest.mark.parametrize(

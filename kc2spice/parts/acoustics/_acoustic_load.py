@@ -28,7 +28,7 @@ ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
 
 
 @dataclass(frozen=True)
-class Branch:
+class LoadBranch:
     """Element between two nodes: ``(j omega)^power * value`` is its admittance in SI."""
 
     plus: str
@@ -57,7 +57,7 @@ class AcousticLoad:
     """
 
     faces: tuple[str, ...]
-    branches: tuple[Branch, ...]
+    branches: tuple[LoadBranch, ...]
     sources: tuple[SoundSource, ...]
     complete: bool
 
@@ -131,7 +131,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
                 nets |= ends - {GROUND}
             elif acoustic and name != body:
                 complete = False
-    branches, sources = list[Branch](), list[SoundSource]()
+    branches, sources = list[LoadBranch](), list[SoundSource]()
     for part in parts.values():
         _add_part(part, scene, branches, sources)
     return AcousticLoad(faces, tuple(branches), tuple(sources), complete)
@@ -142,7 +142,9 @@ def _pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
     return [key for key, other in scene.nets.items() if other == net]
 
 
-def _add_part(part: Part, scene: Scene, branches: list[Branch], sources: list[SoundSource]) -> None:
+def _add_part(
+    part: Part, scene: Scene, branches: list[LoadBranch], sources: list[SoundSource]
+) -> None:
     """Append the branches of a part, and its radiating surface."""
     kind = part.type
     assert isinstance(kind, AcousticPart)
@@ -158,7 +160,7 @@ def _add_part(part: Part, scene: Scene, branches: list[Branch], sources: list[So
             if node == network.entry:
                 entering.append((len(branches), sign))
         plus, minus = (nodes.get(node, f"{part.name}.{node}") for node in (item.plus, item.minus))
-        branches.append(Branch(plus, minus, power, value if power > 0 else 1 / value))
+        branches.append(LoadBranch(plus, minus, power, value if power > 0 else 1 / value))
     if isinstance(part.keys, RadiationKeys):
         source = find_far_field(part.keys)
         sources.append(SoundSource(scene.net(part.name, FACE), tuple(entering), source))

@@ -93,7 +93,7 @@ class DuctLaw(Device):
         return result | {node: first + k for k, node in enumerate(self.inner)}
 
     @cached_property
-    def _drops(self) -> np.ndarray:
+    def _drop_matrix(self) -> np.ndarray:
         """Matrix (drops, inputs) of the pressure drops along channels and across walls."""
         channels, walls = len(self.channels), len(self.walls)
         width = len(self.ends) + self._stored.size
@@ -107,13 +107,13 @@ class DuctLaw(Device):
         return result
 
     @cached_property
-    def _through(self) -> np.ndarray:
+    def _flow_matrix(self) -> np.ndarray:
         """Matrix (drops, inputs) of the volume velocities in channels and into walls."""
         channels, ends = len(self.channels), len(self.ends)
-        result = np.zeros(self._drops.shape)
+        result = np.zeros(self._drop_matrix.shape)
         result[:channels, ends : ends + channels] = np.eye(channels)
         resistances = np.array([resistance for _, resistance, _ in self.walls])
-        result[channels:] = self._drops[channels:] / resistances[:, None]
+        result[channels:] = self._drop_matrix[channels:] / resistances[:, None]
         return result
 
     @cached_property
@@ -121,10 +121,10 @@ class DuctLaw(Device):
         """Derivative of the outputs (ends + states, inputs)."""
         ends, channels = len(self.ends), len(self.channels)
         # pressure drops d = G p with the volume velocities q: the nodes receive -G' q
-        result = -self._drops.T @ self._through
+        result = -self._drop_matrix.T @ self._flow_matrix
         result[:ends] *= -1.0  # into the part
         rows = slice(ends, ends + channels)
-        result[rows] = self._drops[:channels]
+        result[rows] = self._drop_matrix[:channels]
         friction = np.array([resistance for *_, resistance, _ in self.channels])
         result[rows, rows] -= np.diag(friction)
         return result
@@ -152,7 +152,7 @@ class DuctLaw(Device):
         """Matrices of the stored energy and of the lost power, as quadratic forms of the inputs."""
         ends = np.array([self.nodes[end] for end in self.ends])
         stored = np.diag(np.concatenate([ends, self._stored]) / 2)
-        q = self._through
+        q = self._flow_matrix
         resistances = [r for *_, r, _ in self.channels] + [r for _, r, _ in self.walls]
         lost = q.T @ (np.array(resistances)[:, None] * q)
         return stored, lost
@@ -165,7 +165,7 @@ class DuctLaw(Device):
         friction = np.array([resistance for *_, resistance, _ in self.channels])
         out[ends : ends + channels, :channels] = np.diag(np.sqrt(friction))
         roots = np.sqrt([resistance for _, resistance, _ in self.walls])
-        flows = -self._drops[channels:].T / roots
+        flows = -self._drop_matrix[channels:].T / roots
         flows[:ends] *= -1.0
         out[:, channels:] = flows
         return out, np.zeros((self._stored.size + len(self.charged), sources))

@@ -248,7 +248,7 @@ class Source(PartType[SourceKeys]):
         if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
             return tuple(card.with_unit(kind.value_unit) for card in swept)
-        wave = part.keys.waveform.spice(kind.scale)
+        wave = part.keys.waveform.format_spice(kind.scale)
         size = kind.scale * part.keys.amplitude
         ac = ("AC", format_number(size)) if size else ()
         card = Element.of(f"{kind.letter}{part.name}", *ends, *split_words(wave), *ac)

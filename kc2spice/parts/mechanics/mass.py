@@ -134,7 +134,8 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         """Yield the errors of the keys of the part."""
         if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "position and velocity of a mass need a transient analysis"
-            yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
+            got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'
+            yield part.wrong("", problem, got, expected, "delete position and velocity")
         yield from check_dimensions(part.name, part.keys)
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
