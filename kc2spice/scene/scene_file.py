@@ -96,16 +96,15 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
         expected = (
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
-        files = [item.name for item in path.parent.glob("*.toml")]
-        near = next(
-            (f"did you mean {file!r}?" for file in files if file == f"{path.stem}.toml"), ""
-        )
-        near = near or did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
+        near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
+        with contextlib.suppress(OSError, ValueError):  # the name is no file name, or is too long
+            if Path(f"{path.stem}.toml").is_file():
+                near = f"did you mean '{path.stem}.toml'?"
         hint = near or f"{listing}, kc2spice parts the part numbers"
         return UsageError("this scene does not exist", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):
-        near = did_you_mean(path.stem, map(attrgetter("stem"), path.parent.glob("*.toml")))
-        listing = near or listing
+        stems = map(attrgetter("stem"), path.parent.glob("*.toml"))
+        listing = did_you_mean(path.stem, stems) or listing
     message = "this path is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
 
