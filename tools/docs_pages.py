@@ -54,7 +54,7 @@ def parts_page() -> str:
         "A table with `part = \"TYPE\"` in a scene is a part; its name is that of the table. The "
         "columns *1 V is* and *1 A is* state the meaning of a volt and an ampere on a pin in the "
         "netlist; a signal carries no current. `pins = { PIN = \"part.pin\" }` joins pins. A pin "
-        "with a default may be left out. `kc2spice scenes --parts` prints the same.",
+        "with a default may be left out. `kc2spice scenes --part TYPE` prints the same.",
         "",
         *(line for doc in describe_part_types() for line in _part(doc)),
     ])  # fmt: skip

@@ -134,7 +134,10 @@ PARAMETERS = {
         help="Words to search for in the number, maker or device of a part. Default: all parts.",
     ),
     "keys": typer.Option("--keys", help="List every key that a scene may have."),
-    "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
+    "parts": typer.Option("--parts", help="List the part types."),
+    "part_type": typer.Option(
+        "--part", metavar="TYPE", help="List the pins and keys of a part type, with an example."
+    ),
     "band": typer.Option(
         metavar="F0 F1",
         help="Lowest and highest frequency of the error estimate [Hz]. Default: the band in "

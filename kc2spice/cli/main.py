@@ -23,6 +23,7 @@ from kc2spice.cli.tables import (
     INTERRUPTED_EXIT_CODE,
     PIPED_COLUMNS,
     Caller,
+    print_keys,
     print_table,
     print_tables,
     report_errors,
@@ -46,7 +47,7 @@ EXAMPLES = {
         "kc2spice explain buzzer_7bb_20_6",
         "kc2spice explain impact --set contact.shape=pressure",
     ),
-    "scenes": ("kc2spice scenes", "kc2spice scenes --parts"),
+    "scenes": ("kc2spice scenes", "kc2spice scenes --part disc"),
     "parts": ("kc2spice parts murata", "kc2spice parts relay --json"),
     "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
     "reduce": (
@@ -323,58 +324,48 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
 
 @_register_command
-def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
-    """List the built-in scenes, or all keys or part types."""
+def _scenes(
+    caller: Caller, keys: bool = False, parts: bool = False, part_type: str | None = None
+) -> None:
+    """List the built-in scenes, all keys, or part types."""
     from dataclasses import asdict
 
     from kc2spice.scene.keys import list_all_keys
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.part_reference import describe_part_types
+    from kc2spice.scene.part_reference import describe_part_type, describe_part_types
     from kc2spice.scene.scene_file import list_gallery
 
-    if keys and parts:
+    options = {"--keys": keys, "--parts": parts, f"--part {part_type}": part_type is not None}
+    first, *others = [name for name, chosen in options.items() if chosen] or [""]
+    for other in others:
         raise UsageError(
-            "--keys cannot be combined with --parts",
+            f"{first} cannot be combined with {other}",
             where="scenes",
-            got="--keys --parts",
+            got=f"{first} {other}",
             expected="one of them",
-            hint="run kc2spice scenes --keys, then kc2spice scenes --parts",
+            hint=f"run kc2spice scenes {first}, then kc2spice scenes {other}",
         )
     if keys:
         every = list(list_all_keys())
         if caller.expects_text(list(map(asdict, every))):
-            texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
-            rows = [
-                (key.name, key.unit or "", _format_help_text(key.default), text)
-                for key, text in zip(every, texts, strict=True)
-            ]
-            print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
+            print_keys("keys of a scene", every)
     elif parts:
         docs = list(describe_part_types())
-        for doc in docs if caller.expects_text(list(map(asdict, docs))) else ():
-            rows = [
-                ("pin", p.name, p.kind, _format_help_text(p.default or None, "default "))
-                for p in doc.pins
-            ]
-            rows += [
-                (
-                    "key",
-                    k.name,
-                    k.unit or " | ".join(k.choices),
-                    _format_help_text(k.default, "default "),
-                )
-                for k in doc.keys
-            ]
-            print_table(f"{doc.name}: {doc.title}", rows, names=1)
+        if caller.expects_text(list(map(asdict, docs))):
+            print_table("part types", [(doc.name, doc.title) for doc in docs], names=0)
+    elif part_type is not None:
+        doc = describe_part_type(part_type)
+        if caller.expects_text(asdict(doc)):
+            print(textwrap.fill(f"{doc.name}: {doc.title}. {doc.doc}", PIPED_COLUMNS) + "\n")
+            pins = [(pin.name, pin.kind, pin.default or "") for pin in doc.pins]
+            print_table("pins", pins, ("pin", "unit", "default"), names=0)
+            print_keys("keys", doc.keys)
+            if doc.example:
+                print(f"example\n{doc.example}")
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
         if caller.expects_text(titles):
             print_table("scenes", list(titles.items()))
-
-
-def _format_help_text(value: object, before: str = "") -> str:
-    """Format a text for the terminal."""
-    return "" if value is None else f"{before}{value}"
 
 
 @_register_command

@@ -24,6 +24,7 @@ from kc2spice.core.progress import ERROR_BUDGET, Progress, ignore_progress
 
 if TYPE_CHECKING:
     from kc2spice.report.html import PageSection
+    from kc2spice.scene.keys import Key
 PIPED_COLUMNS = 80  # width of output that is not printed on a terminal
 # largest numbers of metrics and rows in the summary of a run
 MAX_METRICS = 9
@@ -178,6 +179,16 @@ def print_table(
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
     width = None if sys.stdout.isatty() else PIPED_COLUMNS
     Console(width=width).print(table)
+
+
+def print_keys(title: str, keys: Iterable[Key]) -> None:
+    """Print name, unit, default and description of each key."""
+    rows = []
+    for key in keys:
+        text = ": ".join(filter(None, (" | ".join(key.choices), key.doc)))
+        default = "" if key.default is None else str(key.default)
+        rows.append((key.name, key.unit or "", default, text))
+    print_table(title, rows, ("key", "unit", "default", ""), names=0)
 
 
 def print_tables(sections: Iterable[PageSection]) -> None:

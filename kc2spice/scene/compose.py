@@ -153,7 +153,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             where=where,
             got=f"{'.'.join(a)} is a pin in {first.kind}, {'.'.join(b)} a pin in {second.kind}",
             expected=f"another pin in {first.kind}, or gnd",
-            hint="kc2spice scenes --parts lists the pins of each part type",
+            hint=f"kc2spice scenes --part {scene.parts[b[0]].type.name} lists its pins",
         )
 
 

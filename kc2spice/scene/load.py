@@ -35,7 +35,7 @@ from kc2spice.scene.settings import Analysis, Frame
 from kc2spice.scene.start_conditions import find_start_errors
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
-_PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types with their keys
+PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
 _GRAMMAR_KEYS = ("part", "pins")  # keys of every part table
 
 
@@ -326,7 +326,7 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         raise UsageError(
             "this table has no key part",
             where=name,
-            expected=f"part = one of {list_candidates(name, type_names(), _PARTS_COMMAND)}",
+            expected=f"part = one of {list_candidates(name, type_names(), PARTS_COMMAND)}",
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
@@ -337,8 +337,8 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
             selected,
             type_names(),
             f"{name}.part",
-            _PARTS_COMMAND,
-            advice=f"run {_PARTS_COMMAND}, which lists all types; "
+            PARTS_COMMAND,
+            advice=f"run {PARTS_COMMAND}, which lists all types; "
             "docs/how-to/own_part.md describes types of your own",
         )
     return result

@@ -39,6 +39,23 @@ def test_command_line_lists_them(docs, cli):
     assert [pin["name"] for pin in listed["spring"]["pins"]] == ["a", "b"]
 
 
+def test_command_line_prints_one_part_type(docs, cli):
+    shown = cli("scenes", "--part", "spring").stdout
+    assert shown.startswith("spring: ")
+    assert all(key.doc.split()[0] in shown for key in docs["spring"].keys)
+    record = json.loads(cli("scenes", "--part", "relay", "--json").stdout)
+    assert (record["name"], record["scene"]) == ("relay", docs["relay"].scene)
+    lines = cli("scenes", "--parts").stdout.splitlines()
+    assert {line.split()[0] for line in lines} >= set(docs)
+
+
+def test_an_unknown_part_type_has_advice(cli):
+    failed = cli("scenes", "--part", "sprin")
+    assert failed.exit_code == 2
+    assert "this part type does not exist" in failed.stderr
+    assert "spring" in failed.stderr
+
+
 @pytest.mark.parametrize(
     "name", [n for n, kind in load_part_types().items() if "rom" in kind.schema.model_fields]
 )
