@@ -6,11 +6,12 @@ classes of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
 
 from __future__ import annotations
 
+import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -197,7 +198,8 @@ def run(
     1.0000 A
     """
     directory = None if out is None else _require_path(out)
-    loaded = load_scene(scene, overrides or {})
+    with _name_arguments("overrides"):
+        loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
     place = (
         tempfile.TemporaryDirectory(prefix="kc2spice-")
@@ -310,7 +312,8 @@ def export(
     # imported here, because `run` does not need this module
     from kc2spice.workflow.export import export_scene
 
-    return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
+    with _name_arguments("values"):
+        return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
 
 
 def verify(
@@ -639,6 +642,21 @@ def _require_path(out: object) -> Path:
     )
 
 
+@contextmanager
+def _name_arguments(overrides: str) -> Iterator[None]:
+    """Name arguments of Python instead of options of the command line in errors of the block.
+
+    ``overrides`` is the argument that corresponds to the option ``--set``.
+    """
+    try:
+        yield
+    except UsageError as error:
+        if error.where is not None:
+            place = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
+            error.where = place.removeprefix("--")
+        raise
+
+
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     """Raise an error for values of a sweep that are not non-empty lists.
 
@@ -647,6 +665,10 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     UsageError : the error contains the key.
     """
     expected = "a mapping of keys to lists, such as {'load.resistance': ['1 kOhm', '2 kOhm']}"
+    if not isinstance(values, Mapping):
+        hint = "write a mapping with the values of each key"
+        raise UsageError("this object is not a mapping", where="values", got=repr(values)[:120],
+                         expected=expected, hint=hint)  # fmt: skip
     for key, item in values.items():
         if isinstance(item, str) or not hasattr(item, "__len__"):
             hint = f"write [{item!r}] for a single value"
@@ -729,11 +751,8 @@ def sweep(
     by_name = isinstance(scene, (str, Path))
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    try:
+    with _name_arguments("values"):
         definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
-    except UsageError as error:  # the error of a key names the option of the command
-        error.where = error.where and error.where.replace("--set ", "values: ", 1)
-        raise
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")

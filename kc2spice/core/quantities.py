@@ -128,6 +128,8 @@ def _explain_invalid(
             listed = list_candidates(details["input"], choices, _help_command(schema))
             near = near or f'for example  {full_path[-1]} = "{choices[0]}"'
             return "this value is not one of the choices", f"one of {listed}", near
+        case "float_type" | "float_parsing":
+            return "not a number", "a number", f"for example  {full_path[-1]} = 1.0"
         case "string_type":
             return "not a text", "a text in quotes", f'for example  {full_path[-1]} = "NAME"'
         case "int_type":
@@ -142,7 +144,10 @@ def _explain_invalid(
         case "model_type" | "dict_type":
             entry = not full_path or isinstance(full_path[-1], int)  # an entry of a list
             table = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
-            return "not a table", f"a table, {table}", None
+            hint = f"write a table {table} with its keys"
+            if not isinstance(details["input"], (Mapping, list)) and len(full_path) > 1:
+                hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
+            return "not a table", f"a table, {table}", hint
         case "tuple_type" | "list_type":
             entered = details["input"]
             keys = (
@@ -449,7 +454,8 @@ def _suggest_spelling(value: object, si: str) -> str | None:
     if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
     begun = _NUMBER.fullmatch(value.rstrip())
-    if begun is not None and (symbol := _UNIT_WORDS.get(begun[2].lower().removesuffix("s"))):
+    word = "" if begun is None or _parse_unit(begun[2]) else begun[2].lower().removesuffix("s")
+    if begun is not None and (symbol := _UNIT_WORDS.get(word)):
         with contextlib.suppress(ValueError):
             _parse_quantity(f"{begun[1]} {symbol}", si)
             return f'write  "{begun[1]} {symbol}"'
@@ -457,7 +463,8 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         return f'write  "{begun[1]} {si}"'
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
-            _parse_quantity(text, si)
+            if not math.isfinite(_parse_quantity(text, si)):
+                return f"write a number of at most 1e300 {si}".rstrip()
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
             advice = f'write  "{f"{number} {unit}".strip()}"'
             if begun is not None and not begun[2] and si in _UNITS:  # no unit, so no prefix either

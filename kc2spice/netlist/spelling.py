@@ -84,8 +84,16 @@ def require_name(text: str, *, where: str = "netlist") -> str:
             where=where,
             got=repr(text),
             expected=expected,
+            hint=f"for example {_suggest_name(text)}",
         )
     return text
+
+
+def _suggest_name(text: str) -> str:
+    """Return a valid name that is similar to ``text``."""
+    words = re.findall(r"\w+", text, re.ASCII)
+    name = "_".join(words)[:60].strip("_")
+    return name if name[:1].isalpha() and name.lower() not in _RESERVED_NAMES else f"n_{name}"
 
 
 def format_voltage(plus: str, minus: str) -> str:

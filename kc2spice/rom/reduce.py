@@ -382,7 +382,7 @@ def require_valid(target: Target) -> None:
             expected=f"at least {MIN_TOLERANCE:g}, the limit of double precision, and below 1",
             hint="for example 1e-4, which is an error estimate of 0.01 %",
         )
-    if order is not None and order < 1:
+    if order is not None and (order < 1 or order != int(order)):
         raise UsageError(
             "the order is not a number of states",
             where="order",

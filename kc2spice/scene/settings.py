@@ -473,7 +473,7 @@ class Probe(Section):
             if self.take == take and not present:
                 hint = f"add  {key} = VALUE  to this probe"
                 raise invalid_value_error(
-                    f'{key} is missing with take = "{take}"', f"a {key}", hint=hint
+                    f'{key} is missing with take = "{take}"', f"the key {key}", hint=hint
                 )
             if self.take != take and present:
                 hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key {key}"

@@ -156,7 +156,12 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         raw.require_file(path)  # this call raises the error of a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
-        raise UsageError("this path is a folder, not a model", where=str(path), expected=expected)
+        raise UsageError(
+            "this path is a folder, not a model",
+            where=str(path),
+            expected=expected,
+            hint="add the name of a file in this folder",
+        )
     base, files, _, settings = locate_model(path, sidecar)
     path = files.pop(_SINGLE_FILE, path)  # NAME may mean NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
