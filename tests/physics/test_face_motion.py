@@ -164,11 +164,27 @@ def effects_of(result):
     return {row["effect"].removeprefix("disc: "): row["error"] for row in rows}
 
 
+def test_a_scene_that_states_the_motion_of_a_piston_has_no_warning():
+    front = SCENE["front"] | {"motion": "piston"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stated = kc.run(SCENE | {"front": front})
+    assert effects_of(stated)["motion of front_face"].endswith("dB of power at 6.298 kHz")
+    assert stated.metrics["level_error_db"] > 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["buzzer_7bb_20_6", "buzzer_ft_27t_4_3a1", "air_transducer"])
+def test_scenes_of_the_gallery_state_the_motion_of_their_faces(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert kc.run(name).metrics["level_error_db"] > 6
+
+
 @pytest.mark.slow
 def test_a_run_states_the_effects_of_assumptions_on_its_level():
-    with pytest.warns(
-        UserWarning, match=r"disc.front_face is not a piston: at 6.29. kHz, .* 0.28 of"
-    ):
+    words = r"disc.front_face is not a piston: at 6.29. kHz, .* 0.28 of.* front.motion = \"piston\""
+    with pytest.warns(UserWarning, match=words):
         free = kc.run(SCENE)
     effects = effects_of(free)
     assert effects["Q factor"] == "-6.0 dB at half of it"

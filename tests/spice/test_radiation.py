@@ -210,6 +210,7 @@ def test_laws_and_netlist_agree(shape, tmp_path):
 FAULTS = [
     ({"area": "3 cm2"}, {}, "two sizes"),
     ({"radius": None}, {}, "no size"),
+    ({"shape": "sphere", "motion": "piston"}, {}, "no piston"),
     ({"fluid": "mercury"}, {}, "fluid does not exist"),
     ({"fluid": {"density": -1, "sound_speed": 343}}, {}, "out of range"),
     ({"fluid": {"density": 1.2, "sound_speed": 343, "heat_ratio": 0.9}}, {}, "out of range"),

@@ -7,7 +7,7 @@ resulting :class:`FluidTable`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -152,11 +152,16 @@ SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # m2
 
 
 class FluidKeys(Section):
-    """Key of every acoustic part."""
+    """Keys of every acoustic part."""
 
     fluid: Fluid = Field(
         "air",
         validate_default=True,
         description="Fluid at 20 degrees Celsius, air or water, or a table of its constants; by "
         "default air",
+    )
+    motion: Literal["piston"] | None = Field(
+        None,
+        description="Assumed motion of a face of a body at this part; with piston, a run states "
+        "the effect of this assumption on the level without a warning",
     )

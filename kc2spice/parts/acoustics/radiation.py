@@ -72,6 +72,8 @@ class RadiationKeys(FluidKeys):
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
             raise invalid_value_error(f"the surface has {number}", "radius or area")
+        if self.motion is not None and self.shape == "sphere":
+            raise invalid_value_error("a pulsating sphere is no piston", "no key motion")
         return self
 
     @property

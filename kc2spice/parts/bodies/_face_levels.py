@@ -164,6 +164,8 @@ def describe_piston_difference(name: str, facing: FacingFluid, levels: FaceLevel
     differences = (levels.worst, levels.near_field)
     if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
         return ""
+    first = facing.names[0]
+    advice = f'State this assumption in the scene by {first}.motion = "piston"'
     text = (
         f"{name} is not a piston: at {format_quantity(levels.resonance, 'Hz')}, its volume "
         f"velocity is {share:.2g} of that of a piston with its rms velocity. "
@@ -171,12 +173,13 @@ def describe_piston_difference(name: str, facing: FacingFluid, levels: FaceLevel
     if facing.radiation is None:
         return (
             f"{text}{' and '.join(facing.names)} contain its volume velocity alone: the near "
-            + (f"field {_describe_near_field(levels)}")
+            f"field {_describe_near_field(levels)}. {advice}"
         )
     worst, sign = abs(levels.worst), "less" if levels.worst < 0 else "more"
     return (
-        f"{text}It radiates {worst:.1f} dB {sign} power than {facing.names[0]} at "
-        f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis"
+        f"{text}It radiates {worst:.1f} dB {sign} power than {first} at "
+        f"{format_quantity(levels.worst_frequency, 'Hz')}, and the same pressure on the axis. "
+        f"{advice}"
     )
 
 

@@ -117,7 +117,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
             "count": count,
             "fluid": facing.fluid.model_dump(mode="json"),
             "volume": facing.volume,
-            "radiation": None if radiation is None else radiation.model_dump(mode="json"),
+            "radiation": None
+            if radiation is None
+            else radiation.model_dump(mode="json", exclude={"motion"}),
             "load": {"ports": list(joined), **load.record()},
         }
 
@@ -152,7 +154,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def build(
         self, part: Part[FieldKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Build the model, and warn of faces that do not move like a piston."""
+        """Build the model, and warn of faces that do not move like a piston.
+
+        A scene that states this assumption has no warning.
+        """
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
         result = super().build(part, scene, clock, full)
@@ -160,7 +165,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
         if facing:
             for port, levels in self.face_levels(part, scene).items():
                 name = f"{part.name}.{port}"
-                if text := describe_piston_difference(name, facing[port], levels):
+                text = describe_piston_difference(name, facing[port], levels)
+                if text and not _states_motion(facing[port].names, scene):
                     warnings.warn(text, stacklevel=2)
         return result
 
@@ -226,6 +232,12 @@ class SoundingBody(LinearBody[FieldKeysT]):
         error = {"level_error_db": Metric(max(totals), "dB")} if totals else {}
         node = {"nodal_circle_m": Metric(nodes[0], "m")} if nodes else {}
         return {**error, **result, **node}
+
+
+def _states_motion(names: Iterable[str], scene: Scene) -> bool:
+    """Return whether a part at a face states that the face moves like a piston."""
+    keys = (scene.parts[name].keys for name in names)
+    return any(isinstance(item, FluidKeys) and item.motion is not None for item in keys)
 
 
 def _describe_peak(
