@@ -239,6 +239,7 @@ def _export(
         except UsageError as error:
             if short and error.where == f"--set {short[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
+                error.hint = error.hint and error.hint.replace("rom.tolerance", "--tolerance")
             raise
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         choices: dict[str, Any] = {"trust": trust, "count": count, "solver": solver}

@@ -292,11 +292,16 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
     """Make the error of a file without a reduced model from the error of its parser."""
+    unreduced = isinstance(error, KeyError) and _RECORD_NAME in str(error)
+    reason = " ".join(str(error).split())[:120] or type(error).__name__
     return UsageError(
         "this file is not a reduced model",
         where=str(path),
-        got=" ".join(str(error).split())[:120] or type(error).__name__,
+        got="an archive without the record of a reduced model" if unreduced else reason,
         expected="a file that 'kc2spice reduce' wrote",
+        hint=f"run kc2spice reduce {path}, which writes {path.stem}_rom/{path.stem}_rom.npz"
+        if unreduced
+        else "run kc2spice reduce again",
     )
 
 

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.untrusted_files import make_identifier
 
 
@@ -129,6 +129,7 @@ def search_parts(words: str = "") -> list[CataloguePart]:
             where="parts",
             got=repr(words),
             expected=f"words of a number, maker or device, such as {', '.join(makers[:5])}",
-            hint="run kc2spice parts, which lists all parts",
+            hint=did_you_mean(words, " ".join(makers).split())
+            or "run kc2spice parts, which lists all parts",
         )
     return result

@@ -64,6 +64,14 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     UsageError : the scene or file does not exist, or the file is not text.
     """
     scenes, name = list_gallery(), str(name_or_path)
+    if not name:
+        raise UsageError(
+            "the name of the scene is empty",
+            where="SCENE",
+            got="''",
+            expected="the name of a scene, or the path of a TOML file",
+            hint="kc2spice scenes lists the built-in scenes",
+        )
     if name in scenes:
         text = scenes[name].read_text(encoding="utf-8")
         return SceneFile(f"scene {name}", name, text, Path(str(scenes[name])).parent)

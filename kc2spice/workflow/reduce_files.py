@@ -578,6 +578,9 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
             where=text,
             got=f"a part of type {part.type.name}",
             expected=list_candidates(part_name, bodies) or "a body; this scene has none",
+            hint=f"kc2spice reduce {name}:{bodies[0]}"
+            if bodies
+            else f"kc2spice export {name} writes the netlists of all parts",
         )
     full = full_model_without_scene(part, scene, Clock(progress))
     restricted = full.select(part.type.used_port_names(part, scene))

@@ -104,6 +104,14 @@ def rows(text):
          "disc.layers[0].thickness"),
         ("run impact --set sphere.radius=1micron", "unknown unit 'micron'", "'1micron'",
          'write  "1 um"'),
+        ("run impact --set sphere.material=rubby", "this material does not exist", "'rubby'",
+         "did you mean 'ruby'?"),
+        ("run kick_and_catch --set control.setpoint=3", "outside of the force table", "height 3 m",
+         'setpoint = "2.5 mm"'),
+        ("parts Murrata", "no part matches", "'Murrata'", "did you mean 'Murata'?"),
+        ("reduce harvester:load", "this part has no linear model", "resistor",
+         "kc2spice reduce harvester:beam"),
+        ("export impact --tolerance 5", "--tolerance: out of range", "5", "lower --tolerance"),
         ("export impact --count 0", "--count: the number of copies is not valid", "0",
          "--count 2"),
         ("run impact --set sphere.mas", "the value of the key is missing", "'sphere.mas'",
@@ -415,6 +423,14 @@ def test_an_ac_analysis_of_springs_and_masses_names_a_source_to_add(cli):
         'add [drive] with part = "source", kind = "force", ac = "1 N" and pins = { out = "mass.a" }'
     )
     kc.load_scene({"name": "own", **parse_toml(Path("own.toml").read_text() + drive)})
+
+
+def test_an_export_of_matrices_names_the_reduction(cli):
+    np.savez("own.npz", M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)))
+    found = rows(cli("export", "--rom", "own.npz").stderr)
+    assert "own.npz: this file is not a reduced model" in found["head"]
+    assert "kc2spice reduce own.npz" in found["next"]
+    assert "the name of the scene is empty" in rows(cli("run", "").stderr)["head"]
 
 
 def test_a_reduction_of_a_scene_file_names_the_part(cli):

@@ -223,7 +223,8 @@ class Pid(PartType[Control]):
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
             got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
-            hint = f"{coils.name}.y_min and {coils.name}.y_max set the table's range"
+            middle = f"{500 * (low + high):.4g} mm"
+            hint = f'for example  setpoint = "{middle}", or extend {coils.name}.y_min and y_max'
             yield part.wrong(
                 "setpoint", "the setpoint is outside of the force table", got, expected, hint
             )

@@ -14,7 +14,14 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
+from kc2spice.core.quantities import (
+    AIR_DENSITY,
+    Density,
+    Length,
+    Section,
+    Velocity,
+    invalid_value_error,
+)
 from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive_parameter
@@ -61,7 +68,7 @@ def _load_material(name_or_table: str | dict[str, Any]) -> Material:
     try:
         return material(name_or_table, "sphere.material")
     except UsageError as error:
-        raise ValueError(str(error)) from None
+        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 class SphereKeys(Section):
