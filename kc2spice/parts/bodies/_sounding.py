@@ -6,6 +6,7 @@ import warnings
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -187,8 +188,14 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the report."""
-        yield from super().figures(part, build, waves)
+        """Return the figures of the report."""
+        faces = self._plot_face_displacements(part, build, waves)
+        return chain(super().figures(part, build, waves), faces)
+
+    def _plot_face_displacements(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Figure]:
+        """Yield the figure of the mean displacements of radiating faces."""
         displacements = self._face_displacements(part, build, waves)
         if not displacements:
             return
