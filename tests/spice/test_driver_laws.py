@@ -10,6 +10,7 @@ from own_equations import VT, integrated
 from support import (
     LinearDrive,
     Load,
+    PwmDrive,
     assemble_system,
     linear_waveform,
     load_scene,
@@ -82,6 +83,22 @@ def linear_drive(t, y, high, bandwidth, slew, rail, current_limit):
     return [rate, back / farad, across / COILS.inductance]
 
 
+def pwm_drive(t, y, high, rail, frequency, bandwidth, resistance, edge):
+    """A PI controller with a real amplifier, whose output is compared with a triangle of 10 V."""
+    c, held, coils = y
+    r2 = 1e5 * 2 * np.pi * bandwidth * COILS.inductance * 10 / 100 / rail
+    loop = COILS.resistance + 2 * resistance + 1.0
+    farad, series = COILS.inductance / loop / r2, 1e3 + 1e5 + r2
+    u = (c + OUTPUT * (100 * coils - held) / series) / (1 + OUTPUT / series)
+    back = (100 * coils - held - u) / series
+    triangle = 20 / np.pi * np.arcsin(0.9999 * np.sin(2 * np.pi * frequency * t))
+    duty = limited((u - triangle) / (20 * frequency * edge), 1.0)
+    command = pulse(t, high, 1e-5, 1e-7, 1.0)
+    beyond = 1e6 * (max(c - 12, 0.0) - max(-12 - c, 0.0))
+    rate = 2e7 * np.pi * (command - (u + held + r2 * back) - c / 1e7 - beyond)
+    return [rate, back / farad, (rail * duty - loop * coils) / COILS.inductance]
+
+
 def transistor(gate, drain, limit):
     """Level 1 with 12 V at the gate, a threshold of 3 V and the diode of its bulk; to source."""
     k = 2 * limit / 81
@@ -152,6 +169,11 @@ CASES = {
          "driver.drive": lambda y: np.array([coil_loop(row, 2e4, 0.2)[1] for row in y])},
         {"rail": 100.0, "bandwidth": 2e4, "slew": 5e6},
     ),
+    "pwm_drive": (
+        pwm_drive, WINDINGS, STEP, 3e-5, [0.0, 0.0, 0.0],
+        {"coils.i": lambda y: y[:, 2], "driver.i": lambda y: y[:, 2]},
+        {"rail": 400.0, "frequency": 1e5, "bandwidth": 2e4, "resistance": 3.0, "edge": 2e-7},
+    ),
     "half_bridge": (
         half_bridge, RINGING, FAST, 2e-5, [100.0, 0.0, 0.0, 12.0, 0.0, 0.0],
         {"chip.v": lambda y: y[:, 5], "driver.i": lambda y: y[:, 4],
@@ -176,7 +198,8 @@ def off(ours, exact):
 )
 def test_a_law_a_netlist_and_equations_by_hand_agree(name, tmp_path, monkeypatch):
     equations, load, wave, stop, start, results, keys = CASES[name]
-    monkeypatch.setattr(LinearDrive, "load", lambda self, part, build: COILS)
+    for driver in (LinearDrive, PwmDrive):
+        monkeypatch.setattr(driver, "load", lambda self, part, build: COILS)
     largest = stop / (8000 if name == "half_bridge" else 2000)
     scene = {
         "name": "driven", "analysis": {"type": "transient", "stop": stop},
@@ -190,12 +213,16 @@ def test_a_law_a_netlist_and_equations_by_hand_agree(name, tmp_path, monkeypatch
     if name == "linear_drive":
         keys = keys | {"current_limit": 2 * COILS.current}
     ends = corners(wave["start"], wave["edge"], wave["width"])
+    if name == "pwm_drive":
+        ends = (*ends, *np.arange(0.0, stop, 1e-6))  # so that no step misses an edge of the bridge
     times, states = integrated(
         lambda t, y: equations(t, y, wave["high"], **keys), np.array(start), ends, stop, t
     )
+    # the current of the bridge is the small voltage of 3 Ohm, interpolated between time steps
+    limit = 1e-4 if name == "pwm_drive" else 1e-5
     for result, read in results.items():
         hand = np.interp(waves["time"], times, read(states))
-        assert off(np.interp(waves["time"], t, exact[result]), hand) < 1e-5, result
+        assert off(np.interp(waves["time"], t, exact[result]), hand) < limit, result
         assert off(waves[result], hand) < 2e-4, result
 
 

@@ -22,6 +22,12 @@ RAIL_STIFFNESS = 1e3  # 1/V, rate beyond a rail relative to the slew rate
 FULL_TURN = repr(2 * math.pi)
 # parameter with the resistance [Ohm] of the last resistor of each circuit, ``Rout``
 SERIES_PARAMETER = "series_resistance"
+# gain of a linear amplifier for a voltage beyond a rail: 1 kS over the input stage of 1 mS
+RAIL_GAIN = 1e6
+SINE_SHARE = 0.9999  # share of the sine whose arcsine is the triangle; it rounds the corners
+PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
+INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
+SENSE_LOAD = 1e3  # Ohm, resistor in which a current becomes the voltage of a sensor
 GATE = 12.0  # V, supply of the gates
 THRESHOLD = 3.0  # threshold voltage of the transistors
 SATURATION_CURRENT = 1e-14  # A, of the diodes between source and drain
@@ -133,6 +139,50 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
     )
 
 
+def declare_pwm_drive(
+    parameters: Iterable[Param], carrier: float, headroom: float, shunt: float, sense: float
+) -> Declaration:
+    """Declare the H-bridge with its modulator and its PI controller.
+
+    The controller's output is compared with a triangle between plus and minus ``carrier`` [V], the
+    arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is the resistor in the return line,
+    ``sense`` [Ohm] the amplified voltage for each ampere in it. The operational amplifier of the
+    controller has a linear input stage and the rails plus and minus ``headroom carrier``.
+    """
+    rounded = f"{SINE_SHARE!r}*sine"
+    supply = headroom * carrier
+    unity = f"{FULL_TURN}*{PI_BANDWIDTH!r}"
+    return Declaration(
+        "pwm_drive",
+        "pulse-width modulated H-bridge",
+        Section,
+        (
+            *_declare_nodes("drive", "ret", "low", "sensed", "inverting", "middle", "output"),
+            measured(voltage("sine", "sine", "ref")),
+        ),
+        coenergy="0.5*constant/r2*rail*(middle - output)^2",
+        content=f"0.5*(drive - upper)^2/{SERIES_PARAMETER} + 0.5*(low - lower)^2/{SERIES_PARAMETER}"
+        f" + 0.5*(ret - low)^2/{shunt!r}"
+        f" + 0.5*sensed^2/{SENSE_LOAD!r} - sensed*shunted"
+        f" + 0.5*(sensed - inverting)^2/{INPUT_RESISTANCE!r} + 0.5*(inverting - middle)^2*rail/r2"
+        " - output*delivered",
+        signals={
+            "triangle": f"{2 * carrier / math.pi!r}*atan({rounded}/sqrt(1 - ({rounded})^2))",
+            "duty": f"0.5*clip((v_output - triangle)/({2 * carrier!r}*frequency*edge))",
+            "upper": "rail*(0.5 + duty)",
+            "lower": "rail*(0.5 - duty)",
+            "shunted": f"{sense / shunt / SENSE_LOAD!r}*(v_ret - v_low)",
+            "delivered": f"(compensation - v_output)/{OUTPUT_RESISTANCE!r}",
+        },
+        states={
+            "compensation": f"{unity}*(command - v_inverting - compensation/{STATIC_GAIN!r}"
+            f" - {RAIL_GAIN!r}*({_write_excess(repr(-supply), repr(supply))}))"
+        },
+        given=tuple(parameters),
+        constants={SERIES_PARAMETER: "resistance"},
+    )
+
+
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
     """Return the current [A] of a transistor from ``drain`` to ``source``."""
     ends = (f"max(0, {gate} - {end} - {THRESHOLD!r})^2" for end in (source, drain))
@@ -165,11 +215,15 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
         rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
                - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
     """
-    beyond = f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
     return (
         f"slew*clip(unity*({difference})/slew) - unity*compensation/{STATIC_GAIN!r}"
-        f" - {RAIL_STIFFNESS!r}*slew*({beyond})"
+        f" - {RAIL_STIFFNESS!r}*slew*({_write_excess(low, high)})"
     )
+
+
+def _write_excess(low: str, high: str) -> str:
+    """Return the voltage [V] of an amplifier before its output resistance beyond its rails."""
+    return f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
 
 
 def build_driver_equations(

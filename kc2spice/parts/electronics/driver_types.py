@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.quantities import (
     Capacitance,
     Current,
@@ -19,6 +21,7 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
+from kc2spice.core.waveforms import sine_waveform
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.parts.control.pid import SENSE_RESISTANCE
 from kc2spice.parts.electronics._driver_laws import (
@@ -26,6 +29,7 @@ from kc2spice.parts.electronics._driver_laws import (
     declare_charge_drive,
     declare_half_bridge,
     declare_linear_drive,
+    declare_pwm_drive,
 )
 from kc2spice.parts.electronics._template import (
     CoilDriver,
@@ -37,6 +41,7 @@ from kc2spice.parts.electronics._template import (
 )
 from kc2spice.physics.declaration import Declaration
 from kc2spice.scene.model import (
+    Build,
     DeclaredScene,
     Part,
     WiredScene,
@@ -215,12 +220,33 @@ class PwmDrive(CoilDriver[PwmKeys]):
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
-    without_law = "its bridge switches twice in each period of the carrier"
     opamp = "pole"
     noise = "no noise: it switches, which an operating point knows nothing of"
     # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for
     # each ampere in it
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        return declare_pwm_drive(parameters, **self.constants)
+
+    def law(self, part: Part[PwmKeys], build: Build) -> laws.Equations | None:
+        """The circuit, and the sine from which the netlist makes the triangle of the carrier."""
+        result = super().law(part, build)
+        if result is None:
+            return None
+        name = f"{part.name} carrier"
+        carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
+        # the resistor to the pin drive begins at a leg of the bridge, which is no node of the law
+        results = {
+            **result.results,
+            f"{part.name}.i": laws.scaled_wave(f"{part.name}.drive.through", -1.0),
+        }
+        return replace(
+            result,
+            laws=(*result.laws, carrier),
+            nets=((f"{name}.out", f"{part.name}.sine"),),
+            results=results,
+        )
 
     def for_load(self, keys: PwmKeys, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L
@@ -237,7 +263,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         )
         return parameters(keys, "rail", "frequency", "resistance", "edge"), {
             "inductance": load.inductance,
-            "resistance": resistance,
+            "coil_resistance": resistance,
             "bandwidth": keys.bandwidth,
             "r2": r2,  # Ohm V, 1e5 times ratio and rail
             "constant": load.inductance / resistance,
