@@ -150,6 +150,13 @@ class Equations:
 
 
 @dataclass(frozen=True)
+class MissingEquations:
+    """Reason why a part has no equations; ``verify`` prints it."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class LawPort:
     """Port of a :class:`SecondOrderBody`: one column of B, one row of C.
 

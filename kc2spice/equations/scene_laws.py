@@ -14,7 +14,15 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from kc2spice.core.domains import FLOW_SYMBOLS
-from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading, SecondOrderBody
+from kc2spice.core.laws import (
+    GROUND,
+    Equations,
+    IdealSource,
+    Law,
+    MissingEquations,
+    Reading,
+    SecondOrderBody,
+)
 from kc2spice.equations.networks import (
     Network,
     list_pin_kinds,
@@ -53,11 +61,27 @@ class SceneLaws:
     @cached_property
     def stated_equations(self) -> Mapping[str, Equations]:
         """Equations of each part with netlist statements, from the method of its type."""
-        result = {}
-        for part in map(self.build.scene.parts.__getitem__, self.with_cards):
-            item = part.type.law(part, self.build)
-            if item is not None:
-                result[part.name] = item
+        stated = self._stated.items()
+        return {name: item for name, item in stated if isinstance(item, Equations)}
+
+    @cached_property
+    def _stated(self) -> Mapping[str, Equations | MissingEquations | None]:
+        """Result of the method ``law`` of each part with netlist statements."""
+        parts = map(self.build.scene.parts.__getitem__, self.with_cards)
+        return {part.name: part.type.law(part, self.build) for part in parts}
+
+    @cached_property
+    def reasons(self) -> Mapping[str, str]:
+        """Reason of each part without a law, empty if its type states none."""
+        result = dict.fromkeys(self.missing, "")
+        for name in self.missing:
+            match self._stated[name]:
+                case MissingEquations(reason):
+                    result[name] = reason
+                case Equations():
+                    result[name] = (
+                        "its signal drives a load, and a law has signals without a current"
+                    )
         return result
 
     @cached_property

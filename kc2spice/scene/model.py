@@ -47,7 +47,7 @@ from kc2spice.scene.settings import Analysis, Bench, Checks, ErrorLimits, Frame,
 
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, FileWriter, Shape
-    from kc2spice.core.laws import Equations
+    from kc2spice.core.laws import Equations, MissingEquations
     from kc2spice.core.progress import Clock
     from kc2spice.core.waveforms import Waveform, Waveforms
     from kc2spice.netlist.library import Header, Subcircuit
@@ -681,8 +681,6 @@ class PartType(Generic[KeysT]):
     follows_frames: ClassVar[bool] = False
     #: whether files name the ports of its bodies
     ports_of_files: ClassVar[bool] = False
-    # reason why parts of this type have no constitutive equations, for ``verify``
-    without_law: ClassVar[str] = ""
     # dotted keys that set the number of pieces or of series terms; ``verify`` compares with twice
     # as many
     discretisations: ClassVar[tuple[str, ...]] = ()
@@ -952,8 +950,8 @@ class PartType(Generic[KeysT]):
         """Return checks that small signals about the operating ``point`` are meaningful."""
         return ()
 
-    def law(self, part: Part[KeysT], build: Build) -> Equations | None:
-        """Return the equations for the independent integrator; None if the part has none."""
+    def law(self, part: Part[KeysT], build: Build) -> Equations | MissingEquations | None:
+        """Return the equations for the independent integrator, or the reason why there are none."""
         return None
 
     def figures(

@@ -21,6 +21,7 @@ from support import (
     make_deck,
     parse_subcircuits,
     run_simulation,
+    scene_laws,
     solve_full_models,
     solve_laws,
     verify_scenes,
@@ -196,6 +197,25 @@ def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     assert record["passed"], failed(record)
     assert record["left_out"] == ["filter"]
     assert "left out: filter (its signal drives a load, " in record["notes"][0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [("op", "its pin ref is not connected to ground"),
+     ("noise", "its equations do not include noise")],
+)  # fmt: skip
+def test_a_driver_without_equations_has_a_reason(kind, reason):
+    """The command of a driver counts from ground, and its equations have no noise."""
+    spectrum = {"output": "load.v", "start": 1.0, "stop": 10.0, "points": 3}
+    scene = {
+        "name": "driven", "analysis": {"type": kind, **(spectrum if kind == "noise" else {})},
+        "amplifier": {"part": "amplifier", "pins": {"out": "load.a"}},
+        "command": {"part": "source", "dc": 1.0, "pins": {"out": "amplifier.command"}},
+        "load": {"part": "resistor", "resistance": 1e3},
+    }  # fmt: skip
+    if kind == "op":
+        scene["floor"] = {"part": "resistor", "resistance": 1.0, "pins": {"a": "amplifier.ref"}}
+    assert scene_laws(models(scene)).reasons == {"amplifier": reason}
 
 
 # --- every card of a body's subcircuit, changed by a little ---------------------------------------

@@ -112,13 +112,13 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             result |= heat_vectors(part, build, METER)
         return result
 
-    def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | None:
+    def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the equations of the part."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference(part, build.scene).name
-        if build.net(part, last) != "0" and not heat:  # its reference
-            return None
+        if build.net(part, last) != "0" and not heat:
+            return laws.MissingEquations(f"its reference pin {last} is not connected to ground")
         pins = []
         for port in ports:
             kind = port.domain.name if port.domain else port.kind
@@ -128,8 +128,12 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         law_ports = tuple(pins)
         conservative = {port.conservative for port in ports}
         signals, mixed = True not in conservative, False in conservative
-        if not signals and (mixed or model.first_order != heat):
-            return None
+        if not signals and mixed:
+            return laws.MissingEquations(
+                "it has ports of signals beside ports of forces or currents"
+            )
+        if not signals and model.first_order != heat:
+            return laws.MissingEquations("its equations are of first order, without inertia")
         law: laws.Law
         modal = None
         if not model.pencil.is_dense:
@@ -161,4 +165,4 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             return result
         if isinstance(law, laws.SecondOrderBody) and modal is not None:
             return add_loss_heat(result, law)
-        return None  # the losses of coupled states are not known
+        return laws.MissingEquations("the heat of states that damping couples is not known")

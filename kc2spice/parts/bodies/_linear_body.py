@@ -128,7 +128,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         plus, minus = port.terminals
         ((name, _),) = joined.pop(plus)
         drive = scene.parts[name].type.law(scene.parts[name], build)
-        sources = drive.laws if drive is not None else ()
+        sources = drive.laws if isinstance(drive, laws.Equations) else ()
         ideal = [law for law in sources if isinstance(law, laws.IdealSource) and law.ac.real > 0]
         if any(joined.values()) or scene.net(part.name, minus) != "0" or len(ideal) != 1:
             return False

@@ -15,6 +15,7 @@ from typing import Literal, cast
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.laws import MissingEquations
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Section, Time
 from kc2spice.netlist.circuit import Element, Item
@@ -69,7 +70,6 @@ class Controller(PartType[ControllerKeys]):
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
     source = "Python function"
-    without_law = "its equations are a Python function"
     example = """
 [controller]
 part = "controller"
@@ -132,6 +132,10 @@ wiring = "parallel"
     ) -> Iterator[tuple[str, ...]]:
         """Yield the name of the node with the sampled output."""
         yield part.name.lower(), "held"
+
+    def law(self, part: Part[ControllerKeys], build: Build) -> MissingEquations:
+        """Return the reason why the part has no equations."""
+        return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""

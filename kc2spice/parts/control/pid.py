@@ -265,11 +265,11 @@ class Pid(PartType[Control]):
             result["coil.wanted"] = Vector(command, 1.0 / SENSE_RESISTANCE, "A")
         return result
 
-    def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
+    def law(self, part: Part[Control], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the ideal law, from which a circuit with amplifiers deviates."""
         keys, n, scene = part.keys, part.name, build.scene
         if build.net(part, "ref") != "0":
-            return None
+            return laws.MissingEquations("its pin ref is not connected to ground")
         external = _drives_external_circuit(part, scene)
         declared = declare_control(keys, output=not external)
         height = sphere.height_offset(part, "y", scene)

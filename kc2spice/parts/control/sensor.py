@@ -142,10 +142,10 @@ dc = "1 um"
         """Return the results of the part, keyed by name."""
         return {f"{part.name}.y": build.across(part, "out")}
 
-    def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | None:
+    def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the equations of the part."""
         if part.keys.noise:
-            return None
+            return laws.MissingEquations("its noise is a random waveform of the simulator")
         n, d = part.name, sensor_declaration(part.keys)
         height = sphere.height_offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}

@@ -216,16 +216,18 @@ class Driver(TemplatePart[KeysT]):
         "data sheet of your devices"
     )
 
-    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration | None:
-        """Declare the circuit of its netlist with these parameters; None if that is impossible."""
-        return None
+    @abstractmethod
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Declare the circuit of its netlist with these parameters."""
 
-    def law(self, part: Part[KeysT], build: Build) -> laws.Equations | None:
+    def law(self, part: Part[KeysT], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the equations of the part."""
+        if build.has_noise:
+            return laws.MissingEquations("its equations do not include noise")
+        if build.net(part, "ref") != "0":
+            return laws.MissingEquations("its pin ref is not connected to ground")
         params, values = self.template_values(part, build)
         declared = self.declare_circuit((*params, *make_parameters(values)))
-        if declared is None or build.has_noise or build.net(part, "ref") != "0":
-            return None
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:

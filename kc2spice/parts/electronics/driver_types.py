@@ -229,11 +229,11 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         return declare_pwm_drive(parameters, **self.constants)
 
-    def law(self, part: Part[PwmKeys], build: Build) -> laws.Equations | None:
-        """The circuit, and the sine from which the netlist makes the triangle of the carrier."""
+    def law(self, part: Part[PwmKeys], build: Build) -> laws.Equations | laws.MissingEquations:
+        """Return the equations of the circuit and of the sine that becomes the carrier."""
         result = super().law(part, build)
-        if result is None:
-            return None
+        if isinstance(result, laws.MissingEquations):
+            return result
         name = f"{part.name} carrier"
         carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
         # the resistor to the pin drive begins at a leg of the bridge, which is no node of the law

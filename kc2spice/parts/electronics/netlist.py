@@ -15,6 +15,7 @@ from pydantic import Field
 
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.laws import MissingEquations
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
@@ -101,7 +102,6 @@ class Netlist(PartType[NetlistKeys]):
     title = "the user's own subcircuit"
     schema = NetlistKeys
     source = "yours"
-    without_law = "its equations are a netlist of the user"
 
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -181,6 +181,10 @@ class Netlist(PartType[NetlistKeys]):
         source = text if part.keys.syntax == "ngspice" else ""
         name = part.keys.subckt
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
+
+    def law(self, part: Part[NetlistKeys], build: Build) -> MissingEquations:
+        """Return the reason why the part has no equations."""
+        return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
         """Return rated pins, and the pins, currents and inner nodes of probes."""

@@ -182,15 +182,17 @@ class PortLoads(PartType[PortLoadsKeys]):
         caption = "Response of every port to a unit load on itself."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
-    def law(self, part: Part[PortLoadsKeys], build: Build) -> laws.Equations | None:
+    def law(
+        self, part: Part[PortLoadsKeys], build: Build
+    ) -> laws.Equations | laws.MissingEquations | None:
         """Return one copy of the body's law for each load.
 
         A unit charge is a large voltage behind a very small capacitance.
         """
         body = body_of(part, build.scene)
         equations = body.type.law(body, build)
-        if equations is None:
-            return None
+        if not isinstance(equations, laws.Equations):
+            return equations
         (law,) = equations.laws
         assert isinstance(law, laws.SecondOrderBody | laws.PortBody)
         rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"

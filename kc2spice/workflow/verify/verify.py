@@ -228,9 +228,7 @@ class _Verification:
 
     def _explain_missing_law(self, name: str) -> str:
         """Return the name of a part without equations, and the reason if it is stated."""
-        reason = self.build.scene.parts[name].type.without_law
-        if name in scene_laws(self.build).stated_equations:
-            reason = "its signal drives a load, and a law has signals without a current"
+        reason = scene_laws(self.build).reasons[name]
         return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:
