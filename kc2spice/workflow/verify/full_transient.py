@@ -33,7 +33,10 @@ MAX_STEPS_PER_PERIOD = 800  # time steps per period of a resonance in a short sc
 MAX_WORK = 1e7  # largest product of unknowns and time steps of a full model
 MAX_STEPS = 4000  # largest number of time steps; in small models, other parts take most of the time
 FULL_STEP_FACTOR = 100.0  # factor of the largest number of steps with --full
-REST_MOTION = 1e-9  # largest motion of a port of a body at rest, relative to its range of motion
+# Largest motion of a port of a body at rest, relative to its range of motion. The second value
+# holds if a small motion, such as the ripple of a pulse-width modulated force, precedes the load:
+# both models neglect this motion, so that the error of their difference is of second order.
+REST_MOTIONS = (1e-9, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -122,15 +125,19 @@ def solve_full_differences(
     reduced, names = replace(network, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
     run = next(run for other, run in exact.runs if other.names == network.names)
-    begin, reconstruct_state = _find_last_rest(bodies, run)
     top = max(choose_verified_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
     most = max(2 * round(min(MAX_STEPS, MAX_WORK / size) / 2), 100) * (
         FULL_STEP_FACTOR if thorough else 1.0
     )
-    step = min(
-        max((stop - begin) / most, 1 / (MAX_STEPS_PER_PERIOD * top)), 1 / (STEPS_PER_PERIOD * top)
-    )
+
+    def choose_step(begin: float) -> float:
+        """Return the time step [s] of a comparison from ``begin`` on."""
+        resolved = max((stop - begin) / most, 1 / (MAX_STEPS_PER_PERIOD * top))
+        return min(resolved, 1 / (STEPS_PER_PERIOD * top))
+
+    begin, reconstruct_state = _find_last_rest(bodies, run, most * choose_step(0.0))
+    step = choose_step(begin)
     count = 2 * math.ceil(min((stop - begin) / step, most) / 2)
     if begin + count * step > stop:
         step = (stop - begin) / count
@@ -163,20 +170,34 @@ def solve_full_differences(
 
 
 def _find_last_rest(
-    bodies: list[PortBody], run: Trajectory
+    bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.
 
     Before this time, the full and the reduced models agree. The time is 0 and the state None if a
-    load changes at once, or if no load changes.
+    load changes at once, or if no load changes. Within ``span`` [s] of this time, a load reaches
+    half of its range, if possible.
     """
     waves, time = run.waves, run.time
-    first = time.size
-    loads = chain.from_iterable(map(_port_wave_names, bodies))
-    for wave in (waves[name] for name in loads):
-        swing = np.abs(wave - wave[0])
-        moved = np.flatnonzero(swing > REST_MOTION * swing.max()) if swing.any() else [time.size]
-        first = min(first, int(moved[0]))
+    names = list(chain.from_iterable(map(_port_wave_names, bodies)))
+
+    def find_change(share: float) -> int:
+        """Return the index of the first time at which a load has changed by a share of its range.
+
+        The index is the number of times if no load changes.
+        """
+        first = time.size
+        for name in names:
+            swing = np.abs(waves[name] - waves[name][0])
+            if swing.any():
+                first = min(first, int(np.argmax(swing > share * swing.max())))
+        return first
+
+    loaded = find_change(0.5)
+    for motion in REST_MOTIONS:
+        first = find_change(motion)
+        if loaded >= time.size or time[loaded] <= time[max(first - 1, 0)] + span:
+            break
     if first < 2 or first >= time.size:
         return 0.0, None
     at = first - 1
