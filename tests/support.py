@@ -268,7 +268,7 @@ NAMES_BY_MODULE = {
         "Solution gate_difference list_gate_checks metric_errors output_errors"
     ),
     "kc2spice.workflow.verify.full_models": "solve_full_models",
-    "kc2spice.workflow.verify.full_transient": "Difference",
+    "kc2spice.workflow.verify.full_transient": "Difference find_last_rest",
     "kc2spice.workflow.verify.law_solution": "solve_laws",
     "kc2spice.workflow.verify.verify": "verify_scenes",
 }

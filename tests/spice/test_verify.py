@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from support import (
     LinearModel,
     Waveforms,
     bodies,
+    find_last_rest,
     ignore_progress,
     load_scene,
     make_deck,
@@ -121,6 +123,18 @@ def test_points_that_steps_do_not_resolve_are_not_compared():
     steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
     assert steps.has_equal_modes(points).tolist() == [True, *2 * [False], *2 * [True], *3 * [False]]
+
+
+@pytest.mark.parametrize(("span", "begin"), [(0.2, 0.49), (1.0, 0.0)])
+def test_the_full_model_begins_at_the_load_and_not_at_a_ripple(span, begin):
+    """A ripple of 1e-5 precedes a load that begins at 0.5; a long comparison contains both."""
+    t = np.linspace(0.0, 1.0, 1001)
+    load = 1e-5 * np.sin(1000 * t) + np.clip(20 * (t - 0.5), 0.0, 1.0)
+    body = SimpleNamespace(name="body", ports=(SimpleNamespace(name="port"),))
+    run = SimpleNamespace(time=t, waves={"body.port": load})
+    found, state = find_last_rest([body], run, span)
+    assert found == pytest.approx(begin, abs=0.02)
+    assert (state is None) == (begin == 0.0)
 
 
 # --- signals -------------------------------------------------------------------------------------

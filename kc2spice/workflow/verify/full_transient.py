@@ -136,7 +136,7 @@ def solve_full_differences(
         resolved = max((stop - begin) / most, 1 / (MAX_STEPS_PER_PERIOD * top))
         return min(resolved, 1 / (STEPS_PER_PERIOD * top))
 
-    begin, reconstruct_state = _find_last_rest(bodies, run, most * choose_step(0.0))
+    begin, reconstruct_state = find_last_rest(bodies, run, most * choose_step(0.0))
     step = choose_step(begin)
     count = 2 * math.ceil(min((stop - begin) / step, most) / 2)
     if begin + count * step > stop:
@@ -169,7 +169,7 @@ def solve_full_differences(
     return fine, coarse, note
 
 
-def _find_last_rest(
+def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.
