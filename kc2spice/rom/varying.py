@@ -13,6 +13,9 @@ of L, of the clamped capacitances' Cholesky factor and of the damping. Masses, s
 damping are therefore positive everywhere in the ranges, and the form of the model proves it
 passive. (Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are
 analytic as long as a gap separates them: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+
+A port that moves a body without a support excites its rigid-body modes, which have no logarithm of
+a stiffness. They have a soft support with a resonance far below the band.
 """
 
 from __future__ import annotations
@@ -58,6 +61,10 @@ KRYLOV_BLOCKS = 4  # blocks of static responses and their changes with frequency
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # points of the parameter range at which the error of the fit is estimated
 SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
+# Resonance of a body without a support on its soft support, relative to the lower end of the band:
+# the relative error in the band is the square.
+SOFT_SUPPORT_RATIO = 1e-4
+SOFT_SUPPORT = "soft_support_hz"  # fact of a model with a soft support
 RIGID_ROUNDING = 1e-6  # share of a port in a rigid-body mode that is rounding error
 LAST_GAP = 8.0  # gap of squared frequencies above the last mode if all modes are retained
 MIN_GAP_GAIN = 0.02  # smallest reduction of the logarithm of a gap that justifies one more state
@@ -142,7 +149,7 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
     ------
     UsageError : a model that is not symmetric, of second order, damped in proportion and with
         collocated ports; whose mesh changes its cells within the parameter ranges; or that a port
-        moves without stiffness.
+        moves without stiffness in a band from 0 Hz.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_facts(task.full)
@@ -162,6 +169,8 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
     proof = prove_stability(middle.pencil.dense(), task.band)
     certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)
     known = interpolate_facts(result.axes, result.exponents, facts)
+    if SOFT_SUPPORT in result.facts:
+        known |= {SOFT_SUPPORT: result.facts[SOFT_SUPPORT]}
     return replace(result, certificate=certificate, facts=known)
 
 
@@ -247,7 +256,7 @@ def make_resonators(
 
     Raises
     ------
-    UsageError : a motion without stiffness that a port moves.
+    UsageError : a motion without stiffness that a port moves, in a band from 0 Hz.
     SimulationError : no common basis is accurate enough over the parameter ranges for the
     tolerance.
     """
@@ -326,32 +335,27 @@ class _ModesOverRanges:
     """
 
     def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:
-        self.dense_model, self.band, self.axes, self.free = (
-            dense_model,
-            band,
-            len(dense_model.axes),
-            0,
-        )
+        self.dense_model, self.band, self.axes = dense_model, band, len(dense_model.axes)
+        self.free, self.moved = 0, False
         line = np.cos(np.pi * (np.arange(GRID_POINTS[self.axes]) + 0.5) / GRID_POINTS[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
-        points = list(map(self.at, self.grid))
+        points = list(map(self._all_modes, self.grid))
         last = min(p.w2.size for p in points) - 1
         while self.free < last and any(
             p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
-        for p in points:
-            share = np.abs(p.V.T @ p.model.B)
-            if (
-                share[: self.free].max(axis=0, initial=0.0) > RIGID_ROUNDING * share.max(axis=0)
-            ).any():
-                raise UsageError(
-                    "a model with parameters needs a body with a support",
-                    where=dense_model.frame.name,
-                    got="a body that a port can move as a rigid body",
-                    expected="a body with a support, or with electrical ports only",
-                    hint="remove the parameters of this body (rom.parameters in a scene)",
-                )
+        # a port that moves the rigid body needs its modes, which stay among the others
+        self.moved = any(map(self._is_moved, points))
+        if self.moved and band[0] <= 0:
+            raise UsageError(
+                "a model with parameters of a body without a support needs a band that begins "
+                "above 0 Hz",
+                where=dense_model.frame.name,
+                got="a body that a port can move as a rigid body, and a band from 0 Hz",
+                expected="a band above 0 Hz, a body with a support, or electrical ports only",
+                hint="state rom.band, such as [100, 10000]",
+            )
         self.points = list(map(self._select_elastic, points))
         w2 = np.array([p.w2 for p in self.points])
         least = max(1, int((w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
@@ -362,10 +366,30 @@ class _ModesOverRanges:
 
     def at(self, x: np.ndarray) -> _DenseModes:
         """Modes at coordinates of the axes, without motions that have no stiffness."""
+        return self._select_elastic(self._all_modes(x))
+
+    def _all_modes(self, x: np.ndarray) -> _DenseModes:
+        """All modes at coordinates of the axes."""
         model = self.dense_model.at(_values_at(self.dense_model.box, x))
-        return self._select_elastic(_DenseModes(model, *scipy.linalg.eigh(model.K, model.M)))
+        return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
+
+    @property
+    def soft_support(self) -> float:
+        """Resonance [Hz] of a body without a support on its soft support."""
+        return SOFT_SUPPORT_RATIO * self.band[0]
+
+    def _is_moved(self, p: _DenseModes) -> bool:
+        """Return whether a port moves a rigid-body mode."""
+        share = np.abs(p.V.T @ p.model.B)
+        largest = share[: self.free].max(axis=0, initial=0.0)
+        return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
     def _select_elastic(self, p: _DenseModes) -> _DenseModes:
+        """Leave out the rigid-body modes, or support them softly if a port moves them."""
+        if self.moved:
+            soft = np.full(self.free, (2 * np.pi * self.soft_support) ** 2)
+            w2 = np.concatenate([soft, p.w2[self.free :]])
+            return _DenseModes(p.model, w2, p.V)
         return _DenseModes(p.model, p.w2[self.free :], p.V[:, self.free :])
 
 
@@ -484,6 +508,9 @@ class _ReducedSpace:
         pivots = np.diagonal(F, axis1=1, axis2=2)
         damping = np.array([p.model.rayleigh for p in modes.points])
         damped = damping > 0
+        facts = dict[str, np.ndarray]()
+        if modes.moved:
+            facts[SOFT_SUPPORT] = modes.soft_support * (exponents.sum(axis=1) == 0)
         return Varying(
             axes=dense_model.axes,
             losses=dense_model.losses,
@@ -499,7 +526,7 @@ class _ReducedSpace:
             ),
             rayleigh=round_coefficients(np.log(np.where(damped, damping, 1.0)), fine),
             damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
-            facts={},
+            facts=facts,
             name=dense_model.frame.name,
         )
 
@@ -508,4 +535,5 @@ def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
     """Least damping ratio of the modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2])
+    w = w[w > SOFT_SUPPORT_RATIO * 2 * np.pi * band[0] * (1 + ZERO_FREQUENCY_RATIO)]
     return float(np.clip((alpha / w + beta * w).min(initial=2.0) / 2, 1e-5, 1.0))

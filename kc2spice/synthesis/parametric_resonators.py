@@ -13,8 +13,9 @@ from operator import attrgetter
 
 import numpy as np
 
-from kc2spice.core.domains import ELECTRICAL, ROTATION, THERMAL, TRANSLATION
+from kc2spice.core.domains import ACOUSTIC, ELECTRICAL, ROTATION, THERMAL, TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
@@ -23,7 +24,7 @@ from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.ranges import ModelOverRanges
-from kc2spice.rom.varying import Varying
+from kc2spice.rom.varying import SOFT_SUPPORT, Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.mode_cards import (
@@ -48,7 +49,9 @@ from kc2spice.synthesis.terminals import (
     PortTerminal,
     Transconductance,
     connect_sources,
+    has_other_reference,
     model_terminals,
+    port_domains,
     port_lines,
     subcircuit_pins,
 )
@@ -63,11 +66,14 @@ _RESONATOR_COMMENT = """\
 * parameters. The simulator evaluates the polynomials once, when it expands the subcircuit. Their
 * arguments x1, x2, ... are -1 at the low end and 1 at the high end of a range (logarithmic scale).
 * Each mode has two integrators: q (displacement) and p (q'/omega at the default values). 1 V of a
-* mode is its largest displacement of a port in um. Modes whose frequencies come close within the
+* mode is its largest {answer}. Modes whose frequencies come close within the
 * ranges form one block with the positive stiffness k = L L'.
-* The base is the mechanical and signal reference: connect it to node 0. Electrical pins float."""
+* {reference}: connect it to node 0. Electrical pins float."""
+_SOFT_SUPPORT_COMMENT = """\
+* Nothing holds the body. A soft support with a resonance of {resonance}, far below the band, holds
+* the body at rest."""
 
-_DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
+_DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION, ACOUSTIC)
 
 
 def parametric_subcircuit(
@@ -153,8 +159,26 @@ def parametric_subcircuit(
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
     words["mesh"] = mesh_comment(rom.facts)
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
+    about = [_describe_resonators(model.ports, base)]
+    if soft := rom.facts.get(SOFT_SUPPORT):
+        resonance = format_quantity(float(f"{soft:.4g}"), "Hz")
+        about.append(_SOFT_SUPPORT_COMMENT.format(resonance=resonance))
     return make_subcircuit(
-        rom, name, pins, base, params, head, ([_RESONATOR_COMMENT], body), others=others, **words
+        rom, name, pins, base, params, head, (about, body), others=others, **words
+    )
+
+
+def _describe_resonators(ports: Sequence[Port], base: str) -> str:
+    """Return the comment about the circuit equations and the reference pin."""
+    domains = port_domains(ports)
+    if not has_other_reference(domains):
+        return _RESONATOR_COMMENT.format(
+            answer="displacement of a port in um",
+            reference="The base is the mechanical and signal reference",
+        )
+    units = " or ".join(dict.fromkeys(map(attrgetter("answer_unit"), domains)))
+    return _RESONATOR_COMMENT.format(
+        answer=f"answer of a port in 1e-6 {units}", reference=f"Values of pins count from {base}"
     )
 
 
@@ -170,7 +194,8 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     unsupported = [port.name for port in ports if not heat and port.domain not in _DOMAINS]
     if unsupported:
         raise UsageError(
-            "a model with parameters has ports that are not electrical, mechanical or rotational",
+            "a model with parameters has ports that are not electrical, mechanical, rotational or "
+            "acoustic",
             where=name,
             got=", ".join(unsupported),
             hint="delete rom.parameters, or leave these ports open",
@@ -311,7 +336,7 @@ class _PortsAndModes:
         self.gain, self.omega, self.damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
         self.scale = scale_modes(self.gain, terminals)
         self.farad = weights.capacitances(self.omega, self.omega.min())
-        self.electrodes = list(filter(attrgetter("port.charged"), terminals))
+        self.electrodes = list(filter(attrgetter("port.electrical"), terminals))
 
     def lines(self) -> Iterator[Line]:
         """Yield the elements of the ports, then the elements of the states."""
@@ -326,10 +351,12 @@ class _PortsAndModes:
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
         """Return the port k with the sources of its output."""
-        if not t.port.charged:
+        if not t.port.electrical:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
-                sums += self._weigh_state(i, k, f"{i}")
+                sums += (
+                    self._weigh_rate(i, k) if t.port.charged else self._weigh_state(i, k, f"{i}")
+                )
             return replace(t, sums=tuple(sums))
         n, micro = self.electrodes.index(t), format_number(1 / MICRO)
         shared = []
@@ -345,6 +372,14 @@ class _PortsAndModes:
         if self.model.gain[:, i - 1, k].any():
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
+
+    def _weigh_rate(self, i: int, k: int) -> Iterator[Transconductance]:
+        """Yield the source of the rate of the state i, ``w p``, at the port k."""
+        if self.model.gain[:, i - 1, k].any():
+            rate = MICRO * self.omega[i - 1] * MICRO / self.terminals[k].unit / self.scale[i - 1]
+            yield Transconductance(
+                f"{i}", f"p{i}", self.base, f"{format_number(rate)}*g{i}_{k + 1}"
+            )
 
     def _describe_block(self, at: int, size: int) -> str:
         """Return the comment above a block of states."""

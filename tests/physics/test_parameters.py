@@ -3,6 +3,7 @@ cross and repel, ends of ranges, and bad ranges."""
 
 import re
 import subprocess
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -287,8 +288,62 @@ def test_a_soft_mode_below_a_stiff_one_is_refused_over_a_box():
         K = np.diag([1.0, 1e8 * values["a"]])
         return LinearModel(M=np.eye(2), K=K, B=np.ones((2, 1)), rayleigh=(0.01, 0.0), ports=ports)
 
-    with pytest.raises(UsageError, match="needs a body with a support"):
+    with pytest.raises(UsageError, match="without a support needs a band that begins above 0 Hz"):
         reduce_over_ranges(RangeTask(full, [ParameterAxis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3))
+
+
+def test_a_free_chain_over_a_range_has_its_closed_form():
+    """Two masses and a spring k (1 + b s) that nothing holds, pushed at the first mass.
+
+    ``x1 / F = (m2 s^2 + k (1 + b s)) / (s^2 (m1 m2 s^2 + (m1 + m2) k (1 + b s)))``
+    """
+    m1, m2, b, band = 2.0, 3.0, 1e-3, (0.5, 20.0)
+
+    def full(values: dict) -> LinearModel:
+        spring = values["k"] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        ports = (Port("face", "acoustic"), Port("end", "mechanical"))
+        return LinearModel(
+            M=np.diag([m1, m2]), K=spring, B=np.eye(2), rayleigh=(0.0, b), ports=ports
+        )
+
+    axis = ParameterAxis("k", 2e3, 5e3)
+    reduced = reduce_over_ranges(RangeTask(full, [axis], band, 1e-4))
+    f = np.geomspace(*band, 300)
+    s = 2j * np.pi * f
+    for value in (2e3, 2.9e3, 4.6e3):
+        soft = value * (1 + b * s)
+        exact = (m2 * s**2 + soft) / (s**2 * (m1 * m2 * s**2 + (m1 + m2) * soft))
+        answer = reduced.at({"k": value}).transfer(f)[:, 0, 0]
+        assert np.abs(answer / exact - 1).max() < 1e-4
+    assert reduced.at({"k": 3e3}).facts["soft_support_hz"] == pytest.approx(5e-5)
+    text = kc.parametric_subcircuit(reduced, "chain").text
+    assert "A soft support with a resonance of" in text
+
+
+@pytest.mark.slow
+def test_a_free_disc_with_sound_has_the_level_of_its_full_keys_over_a_range():
+    """The netlist with parameters at the values of another disc is that disc without ranges."""
+    scene = {
+        **BUZZER,
+        "disc": {**_with({KEY: ["0.11 mm", "0.13 mm"]})["disc"]},
+        "front": {"part": "radiation", "radius": "10 mm", "pins": {"face": "disc.front_face"}},
+        "listener": {"part": "listener", "distance": "100 mm"},
+        "analysis": {"type": "ac", "start": "1 kHz", "stop": "8 kHz", "points": 200},
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        other = {f"disc.{KEY}": "0.115 mm"}
+        ranged = kc.run(scene, overrides=other)
+        plain = kc.run({**scene, "disc": {**scene["disc"], "rom": {}}}, overrides=other)
+    hertz = np.geomspace(1.2e3, 7.5e3, 50)
+    levels = [
+        np.interp(hertz, run.metrics["listener.frequency_hz"], run.metrics["level_db"])
+        for run in (ranged, plain)
+    ]
+    assert np.abs(levels[0] - levels[1]).max() < 0.1
+    assert ranged.metrics["peak_level_db"] == pytest.approx(
+        plain.metrics["peak_level_db"], abs=0.05
+    )
 
 
 def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):

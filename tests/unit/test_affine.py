@@ -345,5 +345,5 @@ def test_options_of_other_models_are_refused(folder):
     with pytest.raises(UsageError, match="does not apply"):
         reduce_file(folder / "beam", folder / "out", order=4)
     (folder / "beam.toml").write_text(SIDECAR.partition("[[ports]]")[0])
-    with pytest.raises(UsageError, match="not electrical, mechanical or rotational"):
+    with pytest.raises(UsageError, match="not electrical, mechanical, rotational or acoustic"):
         reduce_file(folder / "beam", folder / "out")
