@@ -79,8 +79,6 @@ def shipped(scene: str) -> Scene:
     """The scene whose libraries are committed, with the parameters of :data:`RANGES`."""
     table = tomllib.loads(RANGES.read_text(encoding="utf-8"))
     plain, changes = load_scene(scene), dict[str, Any]()
-    if scene in table:
-        plain = without_sound(plain)
     for name, ranges in table.get(scene, {}).items():
         part = plain.parts[name]
         for number, layer in enumerate(part.keys.layers):
@@ -94,10 +92,7 @@ def shipped(scene: str) -> Scene:
 
 
 def without_sound(scene: Scene) -> Scene:
-    """The scene without its acoustic parts: libraries with parameters have electrical pins alone.
-
-    A reduction over ranges of a face beside its electrodes would take ten minutes for each disc.
-    """
+    """The scene without its acoustic parts, for examples of other dialects with electrical pins."""
     silent = {name for name, part in scene.parts.items() if part.type.name in SOUND_TYPES}
     tables = {name: table for name, table in scene.tables.items() if name not in silent}
     for name in scene.parts.keys() & tables.keys():
