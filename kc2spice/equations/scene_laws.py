@@ -61,11 +61,11 @@ class SceneLaws:
     @cached_property
     def stated_equations(self) -> Mapping[str, Equations]:
         """Equations of each part with netlist statements, from the method of its type."""
-        stated = self._stated.items()
+        stated = self._list_stated_equations.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
     @cached_property
-    def _stated(self) -> Mapping[str, Equations | MissingEquations | None]:
+    def _list_stated_equations(self) -> Mapping[str, Equations | MissingEquations | None]:
         """Result of the method ``law`` of each part with netlist statements."""
         parts = map(self.build.scene.parts.__getitem__, self.with_cards)
         return {part.name: part.type.law(part, self.build) for part in parts}
@@ -75,7 +75,7 @@ class SceneLaws:
         """Reason of each part without a law, empty if its type states none."""
         result = dict.fromkeys(self.missing, "")
         for name in self.missing:
-            match self._stated[name]:
+            match self._list_stated_equations[name]:
                 case MissingEquations(reason):
                     result[name] = reason
                 case Equations():

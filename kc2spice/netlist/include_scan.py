@@ -177,7 +177,7 @@ class _Reader:
                 ) from None
             expected = f"a text file, at most {MAX_CIRCUIT_BYTES} bytes with all that it includes"
             raise UsageError(
-                "cannot include this",
+                "this file cannot be included",
                 where=where,
                 got=f"{name}: {reason}",
                 expected=expected,

@@ -246,8 +246,8 @@ MULTIPLIED = {f"{i}.lib": f".include {i + 1}.lib\n" * 2 for i in range(10)}
          "reads or writes a file"),  # a card that goes on over two files
         ({"a.lib": ".include b.lib\n", "b.lib": ".include a.lib\n"}, "includes itself"),
         (MULTIPLIED | {"10.lib": "* end\n"}, "too many files"),
-        ({"user.cir": ".include missing.lib\n"}, "cannot include this"),
-        ({"user.cir": ".include .\n"}, "cannot include this"),
+        ({"user.cir": ".include missing.lib\n"}, "this file cannot be included"),
+        ({"user.cir": ".include .\n"}, "this file cannot be included"),
     ],
 )  # fmt: skip
 def test_files_that_cannot_be_included_are_rejected(files, said, user):
