@@ -42,8 +42,12 @@ def test_a_head_states_sign_validity_rating_and_units(path):
 
 
 def test_few_files_are_committed():
-    """A deck and libraries a scene, the symbols of all, and a page."""
-    assert sum(path.is_file() for path in NETLISTS.rglob("*")) < 4 * len(list(NETLISTS.glob("*/")))
+    """Decks with the libraries that they include, the symbols of all, and a page."""
+    assert len([path for path in NETLISTS.iterdir() if path.is_file()]) == 2
+    for folder in filter(Path.is_dir, NETLISTS.iterdir()):
+        text = "".join(path.read_text("utf-8") for path in folder.glob("*.cir"))
+        included = set(re.findall(r"(?m)^\.include (\S+)$", text))
+        assert included == {path.name for path in folder.glob("*.lib")}, folder.name
     assert {p.suffix for p in NETLISTS.glob("*/*")} == {".cir", ".lib"}
 
 
