@@ -74,6 +74,7 @@ NAMES_BY_MODULE = {
         "pulse_waveform sine_waveform"
     ),
     "kc2spice.core.workspace": "Workspace",
+    "kc2spice.equations.replay": "find_replayed_nets",
     "kc2spice.equations.scene_laws": "SceneLaws scene_laws with_laws",
     "kc2spice.fem": "magnet_field materials",
     "kc2spice.fem.body_keys": "Damping",

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from kc2spice.core.domains import TABLE
-from kc2spice.core.laws import Device, IdealSource, SecondOrderBody
+from kc2spice.core.laws import IdealSource
 from kc2spice.core.waveforms import RecordedWave, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes_value
 from kc2spice.equations.scene_laws import SceneLaws
@@ -30,12 +30,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     or signal that ngspice computed. A net whose value a law prescribes needs no source and is not
     in the result.
 
-    The result is None in three cases:
-
-    * No part has a law.
-    * There is no source of the kind of one of the nets.
-    * Real coils follow an elastic body. The flux of real coils is nonlinear, so every step of the
-    ringing of a body needs Newton's method, which takes hours.
+    The result is None if no part has a law, or if no source has the kind of one of the nets.
     """
     result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}
@@ -46,22 +41,9 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
         if _meets_part_without_law(laws, name, pin) and not any(prescribed):
             kind = result.get(net, "signal")
             result[net] = laws.kinds[law_pin] if kind == "signal" else kind
-    if (
-        not laws.laws
-        or not set(result.values()) <= set(SOURCE_KINDS)
-        or _couples_coils_to_body(laws)
-    ):
+    if not laws.laws or not set(result.values()) <= set(SOURCE_KINDS):
         return None
     return result
-
-
-def _couples_coils_to_body(laws: SceneLaws) -> bool:
-    """Return whether a nonlinear stored quantity, such as a flux, acts on an elastic body."""
-    nonlinear = elastic = False
-    for law in laws.laws.values():
-        elastic |= isinstance(law, SecondOrderBody)
-        nonlinear |= isinstance(law, Device) and bool(law.has_stored_quantities) and not law.linear
-    return nonlinear and elastic
 
 
 def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:

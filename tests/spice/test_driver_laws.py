@@ -12,6 +12,7 @@ from support import (
     Load,
     PwmDrive,
     assemble_system,
+    find_replayed_nets,
     linear_waveform,
     load_scene,
     scene_laws,
@@ -237,6 +238,14 @@ def test_leaks_of_a_charge_drive_keep_its_operating_point(tmp_path):
     loop = 1 + 1e-7 * (1 + 1e-6 / 150e-9)  # an amplifier of gain 1e7
     assert exact["chip.v"][0] == pytest.approx(10.0 / loop, rel=1e-8)
     assert waves["chip.v"][0] == pytest.approx(exact["chip.v"][0], rel=1e-6)
+
+
+def test_a_source_replaces_an_unknown_driver_beside_coils(model, table):
+    """A user's netlist kicks a body; the driver of the coils has equations."""
+    scene = load_scene("bring_your_own", {"catch.driver.linear.rail": 48.0})
+    laws = scene_laws(built(scene, model, table))
+    assert laws.missing == ("kick_driver",)
+    assert find_replayed_nets(laws) == {"kick_anode": "electrical"}
 
 
 def test_a_controller_commands_a_driver_by_its_law(model, table):
