@@ -210,6 +210,7 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.reductors.rational_krylov": "RationalKrylov",
     "kc2spice.rom.reductors.response_pod": "ResponsePod",
     "kc2spice.rom.response": "Response",
+    "kc2spice.rom.soft_support": "support_softly",
     "kc2spice.rom.stability": "prove_stability",
     "kc2spice.rom.structural_damping": "add_structural_damping constant_loss relaxing_stiffness",
     "kc2spice.rom.surrogate": "make_surrogate",

@@ -43,13 +43,12 @@ from kc2spice.rom.parametric import (
 )
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask, certify_over_ranges, record_facts
 from kc2spice.rom.response import Response
+from kc2spice.rom.soft_support import SOFT_SUPPORT, SOFT_SUPPORT_RATIO, ZERO_FREQUENCY_RATIO
 from kc2spice.rom.stability import prove_stability
 
 # frequency up to which all modes are retained, relative to the end of the band
 MODE_BAND_RATIO = 1.2
 EXTRA_MODES = 8  # additional modes; the widest gap among them ends the retained modes
-# squared frequency of a rigid-body mode (rounding error), relative to the next mode
-ZERO_FREQUENCY_RATIO = 1e-6
 ZERO_GAIN = 1e-9  # gain of a mode at a port, relative to the largest, that counts as zero
 GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis, keyed by number of axes
 # highest total degree of the polynomials, keyed by number of axes
@@ -61,10 +60,6 @@ KRYLOV_BLOCKS = 4  # blocks of static responses and their changes with frequency
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # points of the parameter range at which the error of the fit is estimated
 SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
-# Resonance of a body without a support on its soft support, relative to the lower end of the band:
-# the relative error in the band is the square.
-SOFT_SUPPORT_RATIO = 1e-4
-SOFT_SUPPORT = "soft_support_hz"  # fact of a model with a soft support
 RIGID_ROUNDING = 1e-6  # share of a port in a rigid-body mode that is rounding error
 LAST_GAP = 8.0  # gap of squared frequencies above the last mode if all modes are retained
 MIN_GAP_GAIN = 0.02  # smallest reduction of the logarithm of a gap that justifies one more state

@@ -24,7 +24,8 @@ from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.ranges import ModelOverRanges
-from kc2spice.rom.varying import SOFT_SUPPORT, Varying
+from kc2spice.rom.soft_support import SOFT_SUPPORT
+from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.mode_cards import (

@@ -246,6 +246,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             from kc2spice.rom.complex_constants import complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
+            from kc2spice.rom.soft_support import support_softly
 
             orders = self.orders(part, scene, clock)
             selected = orders.model
@@ -259,13 +260,17 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
             modal = resonators(small)  # the eigenvalues are computed once
+            if modal is None and tangent and not constants:
+                small = support_softly(small, band)
+                modal = resonators(small)
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
                 problem, key = "a loss tangent applies only to models of resonators", "loss_tangent"
                 if constants:
                     problem, key = "complex constants apply only to models of resonators", "model"
                 expected = "ratio, quality or loss_factor"
-                raise wrong(f"{part.name}.damping.{key}", problem, got, expected)
+                hint = "support the body, or state a band that begins above 0 Hz in rom.band"
+                raise wrong(f"{part.name}.damping.{key}", problem, got, expected, hint)
             if modal is None:
                 return small
             if model_key["massless"]:

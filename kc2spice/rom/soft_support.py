@@ -1,0 +1,94 @@
+"""Soft support of a body that nothing holds, for models that need positive stiffness.
+
+The rigid-body modes of a body without a support have no stiffness. A soft support gives each of
+them a resonance ``f_s`` far below the band. The relative error of their response at the frequency f
+is ``(f_s / f)^2``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from kc2spice.rom.linear_model import LinearModel
+
+# Resonance on the soft support relative to the lower end of the band; the relative error in the
+# band is at most its square.
+SOFT_SUPPORT_RATIO = 1e-4
+SOFT_SUPPORT = "soft_support_hz"  # fact of a model with a soft support
+# squared frequency of a rigid-body mode (rounding error), relative to the next mode
+ZERO_FREQUENCY_RATIO = 1e-6
+MAX_COUPLING = 1e-8  # coupling of modes by damping, relative to their damping, that is rounding
+RIGID_ROUNDING = 1e-6  # gain of an electrode in a rigid-body mode that is rounding error
+
+
+def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
+    """Return the modes of a body without a support, on a soft support.
+
+    The model itself is returned if it has no rigid-body modes, if damping couples its modes, or if
+    the band [Hz] begins at 0 Hz.
+
+    Parameters
+    ----------
+    rom : LinearModel
+        Reduced model.
+    band : (float, float)
+        Band [Hz] of the model.
+
+    Returns
+    -------
+    LinearModel
+        Model with diagonal matrices, whose stiffness is positive.
+
+    Examples
+    --------
+    Two masses and a spring that nothing holds.
+
+    >>> import kc2spice as kc
+    >>> from kc2spice.rom.soft_support import support_softly
+    >>> spring = [[1.0, -1.0], [-1.0, 1.0]]
+    >>> pair = kc.LinearModel(M=np.eye(2), K=spring, B=np.eye(2), rayleigh=(0.0, 0.01))
+    >>> held = support_softly(pair, (0.1, 1.0))
+    >>> print(np.sqrt(np.diag(held.K)) / (2 * np.pi))
+    [1.00000000e-05 2.25079079e-01]
+    """
+    if rom.first_order or not rom.symmetric or band[0] <= 0:
+        return rom
+    K, E, M = rom.pencil.dense().coefficients
+    try:
+        w2, V = scipy.linalg.eigh(K, M)
+    except np.linalg.LinAlgError:  # a mode without inertia
+        return rom
+    free = 0
+    while free + 1 < w2.size and w2[free] < ZERO_FREQUENCY_RATIO * w2[free + 1]:
+        free += 1
+    damping = V.T @ E @ V
+    damp = np.maximum(np.diag(damping), 0.0)
+    scale = np.sqrt(np.outer(damp, damp))[free:, free:] + np.finfo(float).tiny
+    coupling = np.abs(damping - np.diag(damp))[free:, free:] / scale
+    if not free or coupling.max(initial=0.0) > MAX_COUPLING:
+        return rom
+    soft, gain = SOFT_SUPPORT_RATIO * band[0], V.T @ rom.B
+    w2[:free] = (2 * np.pi * soft) ** 2
+    limit = RIGID_ROUNDING * np.abs(gain).max(axis=0)
+    gain[:free] = np.where(np.abs(gain[:free]) > limit, gain[:free], 0.0)
+    gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
+    known = rom.certificate
+    if known is not None:
+        error = known.error_estimate + SOFT_SUPPORT_RATIO**2
+        method = f"{known.method}; a soft support with a resonance of {soft:.4g} Hz"
+        known = replace(known, error_estimate=error, method=method)
+    return LinearModel(
+        M=np.eye(w2.size),
+        E=np.diag(damp),
+        K=np.diag(w2),
+        B=gain,
+        D=rom.D,
+        ports=rom.ports,
+        certificate=known,
+        facts={**rom.facts, SOFT_SUPPORT: soft},
+        name=rom.name,
+        band=rom.band,
+    )
