@@ -292,8 +292,8 @@ def print_table(title, heads, rows, cells):
         done.append(row)
     if len(done) > 1:
         cpu, memory = (growth(done, "reduce", key) for key in ("cpu", "memory"))
-        print(f"\nCPU time of the reduction grows with the power {cpu:.2f} of the unknowns, "
-              f"memory with the power {memory:.2f}.")  # fmt: skip
+        print(f"\nThe CPU time of the reduction is proportional to n^{cpu:.2f} for n unknowns, "
+              f"and the memory to n^{memory:.2f}.")  # fmt: skip
     print(
         f"CPU times and memory of the first {REPEATED_SIZES} rows are medians "
         f"of {REPEATED_RUNS} runs."

@@ -635,7 +635,7 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
     inside = solid.mesh.facets_satisfying(
         lambda x: _is_inside_box(face.box, x, near), boundaries_only=True
     )
-    up = solid.face(inside, 1).normals[-1].mean(axis=-1)
+    up = solid.facet_basis(inside, 1).normals[-1].mean(axis=-1)
     return np.asarray(inside[up > 0.5 if face.upward else up < -0.5])
 
 

@@ -141,7 +141,7 @@ class FaceMotion:
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
     """Sample the motions z (n, motions) of a full model on facets of its surface."""
     solid = device.solid
-    basis = solid.face(facets, FACE_QUADRATURE)
+    basis = solid.facet_basis(facets, FACE_QUADRATURE)
     places = np.asarray(basis.global_coordinates())
     around = 2 * np.pi * places[0] if solid.axisymmetric else 1.0
     normals = np.asarray(basis.normals)

@@ -108,8 +108,8 @@ def recover_temperatures(
 def _integrate_modes(
     rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
 ) -> np.ndarray:
-    """Return the states (times, modes) of ``times (x' + rates x) = loads``, ``x = loads`` if at
-    rest.
+    """Return the states (times, modes) of ``times (x' + rates x) = loads``, ``x = loads`` in the
+    steady state.
 
     Loads are linear between samples. A massless mode is equal to its load.
     """

@@ -269,7 +269,7 @@ def _basis_load_vectors(solid: Solid, shape: PressureBasis, facets: np.ndarray) 
 
     Each basis function distributes the force over the projected facets.
     """
-    basis = solid.face(facets, 5)
+    basis = solid.facet_basis(facets, 5)
 
     def facet_load(heights: np.ndarray) -> np.ndarray:
         """Return the load of one basis function on the facets."""
@@ -341,8 +341,8 @@ def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndar
     """Forces (depths, n) [N] of a sphere, positive only where it touches the surface.
 
     With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are the
-    conditions of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this is ``|L'f - L^-1 g|^2 /
-    2`` but for a constant.
+    conditions of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this function and a constant
+    are ``|L'f - L^-1 g|^2 / 2``.
     """
     from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 

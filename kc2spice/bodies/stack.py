@@ -291,7 +291,7 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> ForceShape:
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(
-        solid.face(_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
+        solid.facet_basis(_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
     )
     return ForceShape(
         Port(PATCH_PORT, TRANSLATION.port), spread_force(share / share.sum(), UP, solid)
@@ -306,7 +306,7 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
 
     def face_stiffness(height: float) -> sparse.csc_array:
         """``int N_i N_j dA`` over the face at a height."""
-        basis = solid.face(_facets(solid, height), solid.quadrature + 1)
+        basis = solid.facet_basis(_facets(solid, height), solid.quadrature + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
 

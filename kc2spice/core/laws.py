@@ -440,8 +440,8 @@ GROWTH_RATE = 1e3  # 1/s, growth rate of the load on an unsupported body
 class Relation:
     """Relation ``y = H a + free`` between loads (inputs,) and outputs (outputs,).
 
-    A relation describes a linear body at rest, at one frequency, or within one stage of an implicit
-    time step; ``free`` is then the effect of the past.
+    A relation describes a linear body in static equilibrium, at one frequency, or within one stage
+    of an implicit time step; ``free`` is then the effect of the past.
     """
 
     H: np.ndarray
@@ -457,8 +457,8 @@ class PortBody(Device):
     charges [C] and signals, in the order of the rows of C. Forces and currents are unknowns of the
     device, with the equations ``u = y(a)`` and ``dq(a)/dt = i``.
 
-    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the relation at rest and at a
-    frequency. An integrator makes the relations of time steps.
+    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the static relation and the
+    relation at a frequency. An integrator makes the relations of time steps.
     """
 
     name: str
@@ -550,7 +550,7 @@ class PortBody(Device):
         return self.known[s]
 
     def mode(self, e: np.ndarray) -> Relation:
-        """Return the relation at rest."""
+        """Return the static relation."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:

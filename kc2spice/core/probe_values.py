@@ -168,7 +168,7 @@ def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
 def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     """Return the mean rate at which ``values`` rise through their mean in the last half.
 
-    None with fewer than two crossings.
+    The result is None with fewer than two crossings.
     """
     late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]

@@ -97,7 +97,7 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     """Return H [m^2] (nodes, nodes) of faces; its sum is their area."""
-    basis = solid.geometry.face(facets, solid.geometry.quadrature)
+    basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
     weights, nodes = solid.measure(basis, solid.cells_of(facets)), basis.element_dofs.T
     matrix = np.zeros(())
     for (N, _), w in zip(local_functions(basis), weights.T[:, :, None, None], strict=True):
@@ -175,7 +175,9 @@ def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     """Return ``int (v_a - v_b) (T_a - T_b)`` [m^2] between the two sides of inner ``facets``."""
     geometry = solid.geometry
-    first, second = (geometry.face(facets, geometry.quadrature, side=side) for side in (0, 1))
+    first, second = (
+        geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
+    )
     nodes = np.vstack([first.element_dofs, second.element_dofs]).T
     weights, matrix = solid.measure(first, solid.cells_of(facets)), np.zeros(())
     functions = zip(local_functions(first), local_functions(second), strict=True)
@@ -195,6 +197,6 @@ def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) ->
 
 def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
     """Return the node numbers on faces; a double face has the nodes of its first side."""
-    basis = geometry.face(facets, 2)
+    basis = geometry.facet_basis(facets, 2)
     values = np.max([np.abs(N) for N, _ in local_functions(basis)], axis=0)
     return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

@@ -288,8 +288,8 @@ def _read_content(path: Path) -> bytes:
         raise UsageError(f"this file cannot be read: {reason}", where=str(path)) from None
     require_format(path, data[:_HEAD_BYTES])
     if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
-        hint = "export the file again"
-        raise wrong(str(path), "the file ends within a dataset", None, "two lines -1 each", hint)
+        hint, expected = "export the file again", "a line -1 before and after each dataset"
+        raise wrong(str(path), "the file ends within a dataset", None, expected, hint)
     if path.suffix.lower() == ".unv":
         require_unv_elements(data, str(path))
     if path.suffix.lower() in MESHIO_READERS:

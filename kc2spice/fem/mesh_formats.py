@@ -325,7 +325,7 @@ def _add_node_set(
     dimension: int,
     tag: int,
 ) -> None:
-    """Add a set of nodes as the faces of the surface that it contains, or as points."""
+    """Add a set of nodes as a surface if they form element faces, otherwise as points."""
     inside = [face[np.isin(face, nodes).all(axis=1)] for face in faces]
     surface = []
     for width in (2, 3, 4):

@@ -131,7 +131,7 @@ class Solid:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
 
-    def face(
+    def facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
         """Return the scalar basis on facets, seen from the element on one ``side``."""
@@ -293,7 +293,9 @@ def compute_node_shares(
     The integrals of a body of revolution are over the full turn. The cross-section of a line is
     constant over the facets or elements.
     """
-    basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
+    basis = (
+        solid.facet_basis(facets, 4) if facets is not None else solid.basis(4, elements=elements)
+    )
     form = skfem.LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
     shares = form.assemble(basis)
     return np.asarray(shares / shares.sum())
@@ -304,7 +306,7 @@ def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
     n is the outward normal. The integrals of a body of revolution are over the full turn.
     """
-    basis = solid.face(facets, FACE_QUADRATURE)
+    basis = solid.facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
     around = 2 * np.pi * radius if solid.axisymmetric else np.ones_like(radius)
     form = skfem.LinearForm(lambda v, w: v * w.weight)
@@ -314,7 +316,7 @@ def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 def compute_area(solid: Solid, facets: np.ndarray) -> float:
     """Area of a boundary [m^2]; that of a body of revolution is the area of the full turn."""
-    basis = solid.face(facets, FACE_QUADRATURE)
+    basis = solid.facet_basis(facets, FACE_QUADRATURE)
     around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
     return float((basis.dx * around).sum())
 

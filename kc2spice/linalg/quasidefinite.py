@@ -253,7 +253,7 @@ def _relaxed_supernodes(
 ) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
     """Pivots and rows (groups) of the supernodes, by the last pivot of each."""
     pivots, rows = dict[int, list[int]](), dict[int, np.ndarray]()
-    sizes = dict[int, tuple[int, int, int]]()  # unknowns of pivots, unknowns of rows, zeros
+    sizes = dict[int, tuple[int, int, int]]()  # numbers of pivots, rows and zeros of each supernode
     children: list[list[int]] = [[] for _ in below]
     for j, neighbours in enumerate(below):
         behind_j = np.sort(np.concatenate([neighbours, *map(rows.__getitem__, children[j])]))

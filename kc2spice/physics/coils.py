@@ -91,7 +91,7 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
-    """Return coils with a pin of heat, whose resistances follow its temperature.
+    """Return coils with a heat pin, whose resistances follow its temperature.
 
     A current that is a signal follows from the temperature too, which is then measured.
     """

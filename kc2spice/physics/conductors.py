@@ -21,7 +21,7 @@ HEAT_TERMINALS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUN
 
 
 class ConductorKeys(Section):
-    """Keys of the resistance ``R0 (1 + alpha (T - T0))`` of a conductor with a pin of heat."""
+    """Keys of the resistance ``R0 (1 + alpha (T - T0))`` of a conductor with a heat pin."""
 
     temperature_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
@@ -57,12 +57,12 @@ def conductor_values(keys: Section) -> tuple[float | None, float]:
 
 
 def is_heated(part: Part, scene: DeclaredScene) -> bool:
-    """Return whether the scene joins the pin of heat of a part."""
+    """Return whether the scene joins the heat pin of a part."""
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
 def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield errors of keys that have no effect, because the scene does not join the pin of heat."""
+    """Yield errors of keys that have no effect, because the scene does not join the heat pin."""
     if is_heated(part, scene):
         return
     for key in (COEFFICIENT, REFERENCE):
@@ -70,7 +70,7 @@ def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageErr
         if value is not None:
             yield part.wrong(
                 key,
-                "the key has no effect without a pin of heat",
+                "the key has no effect without a heat pin",
                 f"{value:g}",
                 f"a part that joins the pin {HEAT}",
                 f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or leave the key out',

@@ -27,7 +27,7 @@ pins equals the stored energy plus the losses, which include rates times ``force
 Principles of Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951)
 1150.)
 
-With a pin of heat (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
+With a heat pin (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
 through this pin, and the resistances of ``conductors`` follow its temperature.
 """
 
@@ -68,8 +68,8 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-TEMPERATURE = "temperature"  # coordinate at the pin of heat, the rise over the pin ``ambient``
-HEATING = "heating of the coil"  # effect that a part with a pin of heat does not neglect
+TEMPERATURE = "temperature"  # coordinate at the heat pin, the rise over the pin ``ambient``
+HEATING = "heating of the coil"  # effect that a part with a heat pin does not neglect
 COEFFICIENT = "temperature_coefficient"
 REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
@@ -255,13 +255,13 @@ class Declaration:
     that must stay above zero. ``stops`` maps the words for a stop to an expression that is above
     zero in contact. ``neglected`` contains for each effect its name, the reason why it has no
     model, and its size. ``validity`` is the range of the equations. By default it is a constant
-    temperature, or keys that do not depend on temperature if the part has pins of heat.
+    temperature, or keys that do not depend on temperature if the part has heat pins.
 
     ``conductors`` are the branches of currents or voltages whose resistance rises with the
-    temperature of the pin of heat, by ``temperature_coefficient`` [1/K] relative to the resistance
+    temperature of the heat pin, by ``temperature_coefficient`` [1/K] relative to the resistance
     at the reference temperature. ``ideal_work`` states that the power of ``forces`` is work of an
     ideal source instead of heat. With ``losses_of_model``, a model that is built later determines
-    the losses. ``heated`` states that there is a pin of heat, which :meth:`with_heat_pin` adds.
+    the losses. ``heated`` states that there is a heat pin, which :meth:`with_heat_pin` adds.
     ``example`` contains the tables of a small scene in TOML, from which the list of part types
     takes the pins. ``rating`` and ``sign`` are lines in the header of the library.
 
@@ -399,12 +399,12 @@ class Declaration:
 
     @property
     def heat_branch(self) -> Branch | None:
-        """Branch at the pin of heat, None if the part has no such pin."""
+        """Branch at the heat pin, None if the part has no such pin."""
         return HEAT_BRANCH if self.heated else None
 
     @property
     def offers_heat_pin(self) -> bool:
-        """Whether the part has losses for a pin of heat, but no temperature yet."""
+        """Whether the part has losses for a heat pin, but no temperature yet."""
         names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
             *self.domains,
             *self.variables,
@@ -432,7 +432,7 @@ class Declaration:
         Returns
         -------
         Declaration
-            A declaration with a branch between the pins of heat.
+            A declaration with a branch between the heat pins.
 
         Examples
         --------
@@ -757,9 +757,9 @@ class Declaration:
 
     @cached_property
     def network_loss(self) -> Tree:
-        """Sum of the products of across and through quantities that are not stored.
+        """Sum of the powers (across times through quantity) that are not stored.
 
-        These products sum to zero over a network (Tellegen's theorem). At a pin of heat, the
+        These products sum to zero over a network (Tellegen's theorem). At a heat pin, the
         product is temperature times heat flow.
         """
         branch = self.heat_branch

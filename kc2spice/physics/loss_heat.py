@@ -40,7 +40,7 @@ class LossHeat(laws.Device):
 
     @property
     def taps(self) -> tuple[laws.Tap, ...]:
-        """Rates of the pins, and the temperature of the pin of heat."""
+        """Rates of the pins, and the temperature of the heat pin."""
         rates = (laws.Tap(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.Tap(HEAT, AMBIENT))
 
@@ -113,7 +113,7 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
 
 
 def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
-    """Return the vectors of the temperature at the pin of heat, and of the heat flow through its
+    """Return the vectors of the temperature at the heat pin, and of the heat flow through its
     ``meter``."""
     flow = f"i(v.x{part.name}.{meter})".lower()
     result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}

@@ -95,11 +95,11 @@ class DeclaredPart(PartType[KeysT]):
         return self.declared(part, build.scene)
 
     def resolved_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Declaration of a part, with the pin of heat if the scene joins this pin."""
+        """Declaration of a part, with the heat pin if the scene joins this pin."""
         return self._with_heat_pin(self.declared(part, scene), part, scene)
 
     def resolved_built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """Declaration of a part whose model may be built, with the pin of heat if it has one."""
+        """Declaration of a part whose model may be built, with the heat pin if it has one."""
         declaration = self.built_declaration(part, build)
         heated = (part.name, HEAT) in build.scene.terminals
         return _attach_heat_pin(declaration, part) if heated else declaration
@@ -263,7 +263,7 @@ class DeclaredPart(PartType[KeysT]):
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
-    """Return a declaration with the pin of heat, unchanged if it offers no such pin."""
+    """Return a declaration with the heat pin, unchanged if it offers no such pin."""
     if not declaration.offers_heat_pin:
         return declaration
     coefficient, reference = conductor_values(part.keys)
@@ -439,12 +439,12 @@ def balance_energy(
 ) -> Iterator[Balance]:
     """Yield the energy balance of a transient if all coordinates were recorded.
 
-    A part without motion and without a pin of heat has no check.
+    A part without motion and without a heat pin has no check.
 
     The work at the pins is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
     into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both from the waves at the
     pins. A netlist with a charge, flux or loss that differs from the declaration violates the
-    balance. At a pin of heat the work is the integral of the heat flow. All losses leave by this
+    balance. At a heat pin the work is the integral of the heat flow. All losses leave by this
     pin.
     """
     d, time = declaration, waves["time"]
@@ -464,10 +464,10 @@ def balance_energy(
             means[b.rate] = np.diff(recorded[b.name]) / np.diff(time)
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
-    def over_time(tree: Tree) -> np.ndarray:
+    def evaluate_over_time(tree: Tree) -> np.ndarray:
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
-    stored = over_time(d.stored_energy)
+    stored = evaluate_over_time(d.stored_energy)
     dissipated, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
     heat, brought, forces = dissipated, np.zeros_like(dissipated), []
     given_off = None
@@ -480,8 +480,8 @@ def balance_energy(
         if b.moves:
             forces.append((pins, np.diff(recorded[b.name])))
             continue
-        increase = np.diff(over_time(d.stored_quantity(b))) + np.diff(
-            integrate_running(over_time(d.direct_flow(b)), time)
+        increase = np.diff(evaluate_over_time(d.stored_quantity(b))) + np.diff(
+            integrate_running(evaluate_over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrate_steps(pins, time, increase)

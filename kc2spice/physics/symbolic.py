@@ -118,7 +118,7 @@ def _replace_above(tree: Tree) -> Tree:
     return map_operands(tree, _replace_above)
 
 
-class _Card(Writer):
+class _CardWriter(Writer):
     """Writer of expressions for netlist cards."""
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
@@ -149,7 +149,7 @@ def format_tree(tree: Tree) -> str:
                 got=Writer().write(node),
                 hint="write the closed form of the integral",
             )
-    return _Card().write(tree)
+    return _CardWriter().write(tree)
 
 
 def names(tree: Tree) -> frozenset[str]:
@@ -511,7 +511,7 @@ def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
     return Name(f"flag{corners.index(argument)}")
 
 
-class _Python(Writer):
+class _PythonWriter(Writer):
     """Writer of expressions in Python syntax."""
 
     def name(self, text: str) -> str:
@@ -568,7 +568,7 @@ def compile_function(
     The values are numbers or arrays. ``tables`` maps names to the functions that expressions call.
     """
     heads = ", ".join(map("_{}".format, arguments))
-    values = "".join(map("{}, ".format, map(_Python().write, trees)))
+    values = "".join(map("{}, ".format, map(_PythonWriter().write, trees)))
     scope = dict(_FUNCTION_SCOPE)
     for name, table in (tables or {}).items():
         scope[_python_name(name)] = table

@@ -154,7 +154,7 @@ def write_page(
 
 
 def _command_line() -> list[str]:
-    """Return the command that writes the page; empty in other programs."""
+    """Return the command that writes the page; empty if kc2spice runs inside another program."""
     name, *words = sys.argv or [""]
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 

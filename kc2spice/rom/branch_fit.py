@@ -70,9 +70,9 @@ def fit_one_port(
 ) -> tuple[LinearModel | None, float]:
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
-    The model has one electrical port, ``anode``. The second result is its relative deviation
-    (rms). There is no model if the deviation exceeds :data:`POOR_DEVIATION`. The error in the
-    certificate is the largest relative deviation from the samples.
+    The model has one electrical port, ``anode``. The second result is the relative rms deviation of
+    the model from the samples. There is no model if the deviation exceeds :data:`POOR_DEVIATION`.
+    The error in the certificate is the largest relative deviation from the samples.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def intermediate_model(
     SimulationError : not even ``limit`` is met.
     """
     if pencil.size <= MAX_COMPLETE_DECOUPLED:
-        full = pencil.scaled(2 * np.pi * band[1]).dense()
+        full = pencil.scale_unknowns(2 * np.pi * band[1]).dense()
         complete, inaccurate = None, None
         try:
             complete = _use_full_order(full, band, limit)
@@ -92,7 +92,7 @@ def intermediate_model(
         return result
     if expects_cholesky(pencil):  # the check of the memory covered only a Cholesky factor
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    scaled = pencil.scaled(2 * np.pi * band[1])
+    scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
     moderate = MAX_COMPLETE_STATES < states <= MAX_DENSE_STATES
     points = MANY_POINTS if moderate else MAX_POINTS
@@ -131,7 +131,7 @@ def _restore_units(
 ) -> IntermediateModel:
     """Convert the basis of a scaled model to the units of the pencil.
 
-    The intermediate model is the model of ``pencil.scaled(...)``.
+    The intermediate model is the model of ``pencil.scale_unknowns(...)``.
     """
     if result.basis is None:
         return result

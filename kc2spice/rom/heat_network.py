@@ -61,7 +61,7 @@ class FosterNetwork(EqualByContent):
 
     @property
     def total(self) -> float:
-        """Thermal resistance [K/W] at rest."""
+        """Thermal resistance [K/W] in the steady state."""
         return self.direct + float(self.resistance.sum())
 
     def step_response(self, time: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ class HeatOverRanges(ModelOverRanges):
         return len(self.B)
 
     @property
-    def box(self) -> dict[str, ParameterAxis]:
+    def parameter_axes(self) -> dict[str, ParameterAxis]:
         """Axis of each parameter by its name."""
         return {axis.name: axis for axis in self.terms.axes}
 

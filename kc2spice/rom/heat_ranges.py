@@ -221,7 +221,7 @@ class _Reference:
     uncertainty: float
 
     def error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
-        """Largest relative error of a reduced model, over frequency and at rest."""
+        """Largest relative error of a reduced model, over frequency and in the steady state."""
         ours = split_given(reduced.at(self.values), self.ranges.given)
         response = Response(ours.inner.select(self.live).pencil.dense())
         still = self._static_error(ours)

@@ -57,7 +57,7 @@ class IntermediateModel:
 
     @property
     def poles(self) -> np.ndarray | None:
-        """Poles of the full-order model [1/s]; None if some of them are missing."""
+        """Poles of the full-order model [1/s]; None if some poles are missing."""
         known = self.complete and not self.pencil.free and not self.response.decoupled
         return self.response.poles if known else None
 

@@ -448,7 +448,7 @@ class LinearModel:
     def copy_with(self, **changes: Any) -> LinearModel:
         """Return a copy with other attributes but the same K, whose factors both models share."""
         result = replace(self, **changes)
-        self.pencil.share(result.pencil)
+        self.pencil.share_factors(result.pencil)
         return result
 
     def __repr__(self) -> str:

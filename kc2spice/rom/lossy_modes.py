@@ -16,7 +16,7 @@ dynamic stiffness are exact,
 
 and the remaining difference is of the order of ``eta^2``. Coefficients are non-negative least
 squares with weights of Lawson's minimax fit. A response far below all resonances keeps a
-difference of the order of ``eta``: no real model has a complex response at rest.
+difference of the order of ``eta``: no real model has a complex response at zero frequency.
 """
 
 from __future__ import annotations

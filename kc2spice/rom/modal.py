@@ -458,7 +458,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
     tangent : float
         tan delta of the free body, as data sheets state it.
     ratio : float
-        Motional by clamped capacitance at rest, ``C_m / D``.
+        Ratio of motional to clamped capacitance at zero frequency, ``C_m / D``.
 
     Raises
     ------
@@ -469,7 +469,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
     >>> round(clamped_tangent(0.02, 1.0), 4)
     0.04
     """
-    if not tangent * ratio < 1:  # theta would reach the quarter turn of a resistor
+    if not tangent * ratio < 1:  # otherwise the loss angle would be at least 90 degrees
         raise UsageError(
             "the loss tangent is too large for the clamped capacitance",
             where="damping.loss_tangent",

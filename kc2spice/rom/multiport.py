@@ -175,8 +175,8 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     """Find the nearest passive state space with the same poles. The result is None if there is no
     such state space.
 
-    Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
-    in a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
+    Least squares over C and D under the bounded real lemma, a linear matrix inequality in C, D and
+    a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
     section 9.4)::
 
         [ A'P + PA   PB   C' ]

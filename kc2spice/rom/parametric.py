@@ -135,7 +135,7 @@ class ParameterPolynomials:
     exponents: np.ndarray
 
     @property
-    def box(self) -> dict[str, ParameterAxis]:
+    def parameter_axes(self) -> dict[str, ParameterAxis]:
         """Axis of each parameter by its name."""
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
@@ -146,7 +146,7 @@ class ParameterPolynomials:
         ------
         UsageError : a parameter is missing or outside of its range.
         """
-        require_within(self.box.values(), values)
+        require_within(self.parameter_axes.values(), values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         return np.asarray(polynomials(x, self.exponents)[0])
 
@@ -356,7 +356,9 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return the parameter as a factor of the damping; None if it changes more than the damping."""
+    """Return the parameter as a factor of the damping; None if the parameter also changes other
+    matrices.
+    """
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)

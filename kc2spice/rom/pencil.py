@@ -391,7 +391,7 @@ class Pencil:
         """Whether factors of K are known."""
         return self.factors.known is not None
 
-    def share(self, other: Pencil) -> None:
+    def share_factors(self, other: Pencil) -> None:
         """Let ``other``, which has the same K, use the factors of this pencil."""
         other.factors.join(self.factors)
 
@@ -457,7 +457,7 @@ class Pencil:
         flipped = tuple(P.T for P in self.coefficients)
         return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
-    def scaled(self, omega: float) -> Pencil:
+    def scale_unknowns(self, omega: float) -> Pencil:
         """The same transfer function in unknowns with similar energies at ``omega``."""
         return self.in_units(self.units(omega))
 

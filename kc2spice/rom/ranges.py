@@ -52,7 +52,7 @@ class ModelOverRanges(ABC):
 
     @property
     @abstractmethod
-    def box(self) -> dict[str, ParameterAxis]:
+    def parameter_axes(self) -> dict[str, ParameterAxis]:
         """Axis of each parameter by its name."""
 
     @abstractmethod

@@ -20,7 +20,7 @@ def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
     return {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(require_certificate(model.certificate, model.name)),
-        "axes": list(map(asdict, model.box.values())),
+        "axes": list(map(asdict, model.parameter_axes.values())),
         "defaults": dict(model.defaults),
         "units": dict(model.units),
         "descriptions": dict(model.descriptions),

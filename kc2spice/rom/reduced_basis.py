@@ -27,7 +27,7 @@ from kc2spice.rom.state_space import to_hertz, to_schur_form
 
 # Smallest error estimate, because direct solutions of the response are hardly more accurate.
 MIN_ERROR_ESTIMATE = 1e-11
-# Factor on differences at samples, because differences between the samples are larger. The
+# Safety factor of an error measured at samples, because the error between samples is larger. The
 # estimates of 500 random models are one to three times their true errors
 # (tests/physics/test_certificates.py).
 SAFETY_FACTOR = 1.15

@@ -130,8 +130,9 @@ def reduce(
     -------
     LinearModel or ModelOverRanges
         Reduced model with the ports of ``model`` and with a ``certificate``. The result for an
-        affine model is a :class:`kc2spice.rom.ranges.ModelOverRanges`: ``at(values)`` returns it at
-        values of the parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
+        affine model is a :class:`kc2spice.rom.ranges.ModelOverRanges`: ``at(values)`` returns the
+        reduced model at values of the parameters, and :func:`kc2spice.parametric_subcircuit` writes
+        its netlist.
 
     Raises
     ------
@@ -328,7 +329,7 @@ class Reduction:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the full-order model is stable; None if this is not proven."""
+        """Whether the full-order model is stable; None without a proof."""
         return self._proof.stable
 
     @property

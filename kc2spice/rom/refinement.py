@@ -113,7 +113,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Compute a real C with the least squared error of ``C x = y``.
 
-    The error is that over all frequencies and inputs.
+    The squared error is summed over all frequencies and inputs.
     """
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
     both = [np.vstack([P.real, P.imag]) for P in (left, right)]

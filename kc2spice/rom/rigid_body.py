@@ -111,7 +111,9 @@ def _split_congruently(
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the rigid-body motion, whose response has no bound; None if there is none."""
+    """Return the rigid-body motion, whose response has no bound; None if there is no rigid-body
+    motion.
+    """
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading_model(pencil.free) if pencil.free else None

@@ -94,7 +94,11 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 
     The pole pair of a rigid body is accurate to only half of the digits.
     """
-    result = pencil if pencil.free else split_rigid_body(pencil.scaled(omega).dense(), omega).pencil
+    result = (
+        pencil
+        if pencil.free
+        else split_rigid_body(pencil.scale_unknowns(omega).dense(), omega).pencil
+    )
     if not result.has_uncoupled_motion:
         return pencil.poles(omega)
     return np.asarray(

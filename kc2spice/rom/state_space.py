@@ -37,7 +37,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
         # the inertia of a free motion may be small in its units
-        for item in (pencil, pencil.scaled(omega)):
+        for item in (pencil, pencil.scale_unknowns(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
                 return _modal_states(item, omega)

@@ -50,7 +50,7 @@ DIRECT_SOLUTIONS = 6  # direct solutions of the full model that check a causal m
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(
     9.0, 4.0, -1.0
-)  # lowest frequencies over the end of a band from zero: the loss remains at rest
+)  # lowest frequencies over the end of a band from zero: the loss remains at zero frequency
 # largest error with relaxations, relative to the error without them, that justifies relaxations
 MAX_ERROR_RATIO = 0.5
 UNCHANGED_SHARE = 0.1  # share of the error limit below which modes are not changed

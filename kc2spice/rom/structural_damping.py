@@ -50,7 +50,7 @@ class RelaxingStiffness(EqualByContent):
     Attributes
     ----------
     constant : float
-        ``c_0 >= 0``, the factor at rest.
+        ``c_0 >= 0``, the factor at zero frequency.
     amplitudes, rates : (k,) arrays
         ``c_k > 0`` and ``r_k > 0`` [1/s].
     error : float Largest relative difference to the fitted factor in the band.

@@ -20,7 +20,7 @@ def make_surrogate(
 ) -> tuple[LinearModel, float]:
     """Make a projected model that equals the full model over ``band``.
 
-    The second result is its largest measured error.
+    The second result is the largest measured error of the projected model.
 
     The basis is built at s = 0 alone; ``CHECKED_FREQUENCIES`` direct solutions of the full model,
     spread over the band so that none repeats a sampling frequency, are compared in all port pairs.

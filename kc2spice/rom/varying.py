@@ -160,7 +160,7 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
         return model
 
     result, error = _certify(replace(task, full=compute_full))
-    middle = result.at(_values_at(result.box, np.zeros(len(task.axes))))
+    middle = result.at(_values_at(result.parameter_axes, np.zeros(len(task.axes))))
     proof = prove_stability(middle.pencil.dense(), task.band)
     certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)
     known = interpolate_facts(result.axes, result.exponents, facts)
@@ -186,7 +186,7 @@ def _certify(task: RangeTask) -> tuple[Varying, float]:
             task.full, axes, band, degree=degree, progress=task.progress
         )
         draws = sobol.random(FULL_CHECKS) * 2 - 1
-        points = [_values_at(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
+        points = [_values_at(dense_model.parameter_axes, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
         for k, values in enumerate(points):
             task.progress(k, len(points))
@@ -244,7 +244,8 @@ def make_resonators(
 ) -> tuple[Varying, float]:
     """Make resonators of ``dense_model`` over its ranges.
 
-    The second result is their largest difference at random values.
+    The second result is the largest difference of the resonators from ``dense_model`` at random
+    values.
 
     The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance are
     used.
@@ -270,7 +271,7 @@ def make_resonators(
                     break
                 error = 0.0
                 for x, estimator in points:
-                    model = result.at(_values_at(result.box, x))
+                    model = result.at(_values_at(result.parameter_axes, x))
                     error = max(error, estimator.error(Response(model.pencil)))
                     if error > tolerance:
                         break
@@ -292,10 +293,12 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
     )
 
 
-def _values_at(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
+def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
     """Return the values at coordinates of the first axes, and at the middle of the other axes."""
-    known = {axis.name: axis.value(float(v)) for axis, v in zip(box.values(), x, strict=False)}
-    return {name: known.get(name, axis.middle) for name, axis in box.items()}
+    known = {
+        axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
+    }
+    return {name: known.get(name, axis.middle) for name, axis in parameter_axes.items()}
 
 
 def _check_points(
@@ -306,11 +309,11 @@ def _check_points(
     The points are the middle, all corners, points of large polynomial deviations, and random
     points.
     """
-    count = len(dense_model.box)
+    count = len(dense_model.parameter_axes)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
-        response = Response(dense_model.at(_values_at(dense_model.box, x)).pencil)
+        response = Response(dense_model.at(_values_at(dense_model.parameter_axes, x)).pencil)
         yield x, ErrorEstimator(response, band, False, norm)
 
 
@@ -365,7 +368,7 @@ class _ModesOverRanges:
 
     def _all_modes(self, x: np.ndarray) -> _DenseModes:
         """All modes at coordinates of the axes."""
-        model = self.dense_model.at(_values_at(self.dense_model.box, x))
+        model = self.dense_model.at(_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
     @property

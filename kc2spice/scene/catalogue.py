@@ -100,8 +100,7 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with this number in any letter case; None for a part without such a
-    scene."""
+    """Return the part with this number in any letter case; None if no scene contains the part."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())

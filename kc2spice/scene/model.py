@@ -928,8 +928,8 @@ class PartType(Generic[KeysT]):
         """Return checks of a result.
 
         The checks are physical laws that the netlist does not contain. If a transient saved all
-        terms, they include the energy balance. For ``verify``, they include the results of interest
-        with the largest difference between two solutions.
+        terms, the checks include the energy balance. For ``verify``, the checks include the results
+        of interest with the largest difference between two solutions.
         """
         return ()
 

@@ -166,7 +166,8 @@ def _list_modules() -> Mapping[str, str]:
 
 
 def find_part_type(name: str) -> PartType | None:
-    """Return the part type of this name; load its module first. None without such a module.
+    """Return the part type of this name; load its module first. The result is None without such a
+    module.
 
     Modules with several types, and other packages, are searched only if no module has this name.
     """

@@ -89,7 +89,7 @@ def part_header(
     The lines are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
     validity and rating follow, then one line for each pin and each parameter. ``title`` is ``NAME:
     DESCRIPTION``. ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with
-    mechanical pins. ``heat`` describes the pins of heat.
+    mechanical pins. ``heat`` describes the heat pins.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)

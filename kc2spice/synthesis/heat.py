@@ -93,9 +93,9 @@ def is_heat_model(model: LinearModel) -> bool:
 def compute_heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
-    The modes solve ``E x = t K x`` with the time constants t. Their static contributions
-    determine a network at rest. If K is singular, no path removes the heat of some modes, and a
-    leak replaces the resistance of these modes.
+    The modes solve ``E x = t K x`` with the time constants t. Their static contributions determine
+    a steady-state network. If K is singular, no path removes the heat of some modes, and a leak
+    replaces the resistance of these modes.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import format_number
 
 LOSS_NODE = "losses"  # inner node at which all heat flows are added
-METER = "Vheat"  # current into the pin of heat
+METER = "Vheat"  # current into the heat pin
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
 _COMMENT = (
     "",
@@ -26,7 +26,7 @@ _LEAST_DAMPING = "1p"  # smallest divisor, which prevents a division by zero
 
 
 def meter_cards() -> Iterator[Line]:
-    """Yield the meter of the pin of heat, through which all heat flows pass."""
+    """Yield the meter of the heat pin, through which all heat flows pass."""
     yield from _COMMENT
     yield Element.of(METER, HEAT, LOSS_NODE, "0")
 

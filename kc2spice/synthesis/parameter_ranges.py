@@ -22,9 +22,9 @@ RANGE_STOPS = """
 
 
 def list_parameters(model: ModelOverRanges) -> list[Param]:
-    """List the parameters that a model states, in the order of ``model.box``."""
+    """List the parameters that a model states, in the order of ``model.parameter_axes``."""
     result = []
-    for name, axis in model.box.items():
+    for name, axis in model.parameter_axes.items():
         default, unit = model.defaults.get(name, axis.middle), model.units.get(name, "-")
         words = model.descriptions.get(name) or name
         result.append(Param(name, default, unit, words, axis.low, axis.high))
@@ -38,14 +38,14 @@ def sample_range(
 
     Each model is paired with the values of the netlist's parameters.
     """
-    corners = product((-1.0, 1.0), repeat=len(model.box))
-    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(model.box)))
+    corners = product((-1.0, 1.0), repeat=len(model.parameter_axes))
+    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(model.parameter_axes)))
     names = [p.name.lower() for p in parameters]
     for x in (*corners, *inner):
-        axes = zip(model.box.values(), x, strict=True)
+        axes = zip(model.parameter_axes.values(), x, strict=True)
         values = [axis.value(float(at)) for axis, at in axes]
         by_name = dict(zip(names, values, strict=True))
-        yield model.at(dict(zip(model.box, values, strict=True))), by_name
+        yield model.at(dict(zip(model.parameter_axes, values, strict=True))), by_name
 
 
 def parameter_card(name: str, expression: str) -> Parameters:

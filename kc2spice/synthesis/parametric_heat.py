@@ -71,7 +71,7 @@ def heat_subcircuit_over_ranges(
     ----------
     model : reduced heat model over ranges of parameters.
     name : name of the subcircuit and of its library file.
-    parameters : parameters of ``model.box`` in its order, with their names in the netlist.
+    parameters : parameters of ``model.parameter_axes`` in its order, with names in the netlist.
     header : origin of the netlist.
     rating : largest permitted load of the body, for the head of the library.
 
@@ -84,7 +84,7 @@ def heat_subcircuit_over_ranges(
     for parameter in names:
         checked_name(parameter, where=f"{name}: parameters")
     require_distinct(names, RESERVED_BY_HEAT, where=name)
-    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
+    values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
     rom = model.at(values)
     pins, base = heat_pins(rom, name)
     network = _make_modal_network(model, parameters)
@@ -108,7 +108,7 @@ def heat_subcircuit_over_ranges(
 
 def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
     """Return the network of the modes at the defaults, and of their couplings over the ranges."""
-    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
+    values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
     rom = model.at(values)
     times, shapes = decouple_heat(rom)
     gain = shapes.T @ rom.B

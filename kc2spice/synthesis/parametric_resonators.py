@@ -99,8 +99,8 @@ def parametric_subcircuit(
     name : str
         Name of the subcircuit and of its library file.
     parameters : sequence of Param, optional
-        Parameters of ``model.box`` in its order, with their names in the netlist. The default are
-        the parameters that the model states.
+        Parameters in the order of ``model.parameter_axes``, with names in the netlist. The default
+        is all parameters that the model states.
     header : Header, optional
         Origin of the netlist.
     title : str, optional
@@ -146,7 +146,7 @@ def parametric_subcircuit(
     if isinstance(model, HeatOverRanges):
         return heat_subcircuit_over_ranges(model, name, parameters, header, rating=rating)
     defaults = map(attrgetter("default"), parameters)
-    rom = model.at(dict(zip(model.box, defaults, strict=True)))
+    rom = model.at(dict(zip(model.parameter_axes, defaults, strict=True)))
     require_parametric_form(model.ports, [item.name for item in parameters], name)
     terminals = model_terminals(rom, rom.D, name)
     pins, base = subcircuit_pins(terminals, name)

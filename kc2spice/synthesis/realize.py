@@ -197,9 +197,9 @@ def subcircuit(
 
 
 def _unknown_losses(name: str, got: str) -> UsageError:
-    """Return the error of a model whose netlist has no pin of heat."""
+    """Return the error of a model whose netlist has no heat pin."""
     return UsageError(
-        "the losses of this model are not known, so that it has no pin of heat",
+        "the losses of this model are unknown, so this model cannot have a heat pin",
         where=name,
         got=got,
         expected="a body with electrodes or mechanical ports, whose damping does not couple modes",
@@ -266,7 +266,7 @@ def make_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a reduced model with its header.
 
-    The cards ``losses`` follow the cards of the model. They add the pins of heat.
+    The cards ``losses`` follow the cards of the model. They add the heat pins.
 
     ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
     pivots. ``words`` are the title, the rating and the validity of the head.

@@ -71,8 +71,8 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     -------
     Ringing or None
         The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first.
-        Until the time ``t_i``, a mode at least as fast as mode i rings. None if the model has no
-        known modes.
+        Until the time ``t_i``, a mode at least as fast as mode i rings. The result is None if the
+        model has no known modes.
     """
     model = resonators(rom)
     if model is None:

@@ -51,7 +51,7 @@ LOSS_FACTORS: dict[str, Callable[[float], float]] = {
 MIN_MODE_SHARE = 1e-3  # smallest capacitance of an excited mode, relative to the largest
 CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
-Box = dict[str, ParameterAxis]
+ParameterAxes = dict[str, ParameterAxis]
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,10 +261,10 @@ class BodyFit:
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
         return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
 
-    def reduce(self, box: Box, degree: int | None = None) -> Parametric:
+    def reduce(self, parameter_axes: ParameterAxes, degree: int | None = None) -> Parametric:
         """Return the reduced model of a parameter range."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()
-        axes = [axis for name, axis in box.items() if name not in constant]
+        axes = [axis for name, axis in parameter_axes.items() if name not in constant]
         return reduce_over_parameters(self.full, axes, self.band, degree=degree)

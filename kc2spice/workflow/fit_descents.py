@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.parts.bodies._box import VariedKey, values_of_part
 from kc2spice.rom.parametric import ParameterAxis, Parametric
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, Box
+from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
 from kc2spice.workflow.misfit import noise_ratio
 
@@ -40,7 +40,7 @@ class DescentResult:
 
     values: dict[str, float]
     solved: OptimizeResult
-    box: Box
+    parameter_axes: ParameterAxes
     exact: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -58,25 +58,25 @@ class Descent:
     """
 
     body: BodyFit
-    box: Box
+    parameter_axes: ParameterAxes
     degree: int | None = None
 
     @cached_property
     def reduced(self) -> Parametric:
         """Reduced model of the parameter ranges."""
-        return self.body.reduce(self.box, self.degree)
+        return self.body.reduce(self.parameter_axes, self.degree)
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (keys,) of the logarithms of the absolute values."""
-        ends = np.log(np.abs([[axis.low, axis.high] for axis in self.box.values()]))
+        ends = np.log(np.abs([[axis.low, axis.high] for axis in self.parameter_axes.values()]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the keys at the logarithms ``x`` (keys,), clipped to the range."""
-        signs = np.sign(list(map(attrgetter("low"), self.box.values())))
+        signs = np.sign(list(map(attrgetter("low"), self.parameter_axes.values())))
         values = signs * np.exp(np.clip(x, *self.bounds))
-        return dict(zip(self.box, values.tolist(), strict=True))
+        return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
         """Return :meth:`log_ratio` (2 n,) of the reduced model at the logarithms ``x``."""
@@ -102,7 +102,9 @@ class Descent:
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the logarithms (keys,) of values, clipped to the range."""
-        return np.clip(np.log(np.abs(list(map(values.__getitem__, self.box)))), *self.bounds)
+        return np.clip(
+            np.log(np.abs(list(map(values.__getitem__, self.parameter_axes)))), *self.bounds
+        )
 
     def solve(self, values: Mapping[str, float]) -> DescentResult:
         """Return the result of a descent that starts at ``values``."""
@@ -110,7 +112,7 @@ class Descent:
             self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
             x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
-        return DescentResult(self.values(solved.x), solved, self.box)
+        return DescentResult(self.values(solved.x), solved, self.parameter_axes)
 
 
 def descend(descent: Descent) -> list[DescentResult]:
@@ -142,7 +144,7 @@ def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
         excess = noise_ratio(left, J.shape[1])
         pull = np.where(s * max(compute_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
         if np.abs(pull).max(initial=0.0) < CONVERGED_CHANGE * excess:
-            return DescentResult(values, result, end.box, exact)
+            return DescentResult(values, result, end.parameter_axes, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
             break
@@ -167,13 +169,14 @@ def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
             return result
         # the scene at these values has a mesh without displaced nodes
         body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
-        box = {}
+        parameter_axes = {}
         for item, half in zip(body.keys, widths.tolist(), strict=True):
-            box[item.key] = _narrow_range(item, end.values[item.key], half)
-        descent = Descent(body, box, POLYNOMIAL_DEGREE)
+            parameter_axes[item.key] = _narrow_range(item, end.values[item.key], half)
+        descent = Descent(body, parameter_axes, POLYNOMIAL_DEGREE)
         end = descent.solve(end.values)
         if not any(
-            _is_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys
+            _is_at_inner_end(item, parameter_axes[item.key], end.values[item.key])
+            for item in body.keys
         ):
             widths = np.maximum(RANGE_RATIO * widths, MIN_LOG_WIDTH)
     raise UsageError(

@@ -317,7 +317,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
-    scene has neither of these keys. Warns of refined settings.
+    scene has neither ``error_budget`` nor ``checks.reduction``. Warns of refined settings.
 
     Raises
     ------

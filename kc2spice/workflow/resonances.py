@@ -26,10 +26,10 @@ from kc2spice.scene.model import Build
 MAX_UNKNOWNS = 600  # eigenvalues of larger systems take seconds
 # Near a pole a response is R / (j w - p). With points a quarter of a half-width apart, the parabola
 # through 1/|y|^2 at three points gives the maximum of a single pole exactly; the neighbours of a
-# pole change that by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it). Wider ranges
-# follow, each WIDENING_FACTOR times as wide with the same number of points, up to the distance of
-# frequencies of the scene: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by
-# equipartition).
+# pole change this maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it).
+# Wider ranges follow, each WIDENING_FACTOR times as wide with the same number of points, up to the
+# distance of frequencies of the scene: the trapezoidal rule then integrates |y|^2 to 2 % (same
+# tests, by equipartition).
 NARROWEST_HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
 RANGE_POINTS = 33  # points of each range
 WIDENING_FACTOR = 4.0

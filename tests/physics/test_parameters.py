@@ -525,7 +525,9 @@ def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
     found = part.type.varying(part, whole, Clock())
     f, draw = np.linspace(5e3, 700e3, 25), np.random.default_rng(4)
     for _ in range(50):
-        values = {key: axis.value(draw.uniform(-1, 1)) for key, axis in found.box.items()}
+        values = {
+            key: axis.value(draw.uniform(-1, 1)) for key, axis in found.parameter_axes.items()
+        }
         full = part.type.full(with_values(part, values), whole, Clock())
         exact = full.select([port.name for port in found.ports]).transfer(f)
         base = np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))

@@ -103,7 +103,7 @@ def test_the_heat_of_the_catch_needs_a_path():
 
 def test_a_coefficient_without_a_pin_of_heat_is_refused():
     scene = kc.load_scene("kick_and_catch").tables | {"catch": {"temperature_coefficient": 1e-3}}
-    with pytest.raises(UsageError, match="no effect without a pin of heat"):
+    with pytest.raises(UsageError, match="no effect without a heat pin"):
         kc.load_scene(scene)
 
 

@@ -267,8 +267,8 @@ def test_without_the_pin_of_heat_the_netlist_has_none():
         ("resistor", {"heat": "drive.out"}, {}, "pins of different kinds"),
         ("resistor", {"heat": "c.a"}, {}, "pins of different kinds"),
         ("capacitor", {"heat": "mass.a"}, {}, "no such pin"),
-        ("resistor", {}, {"temperature_coefficient": 4e-3}, "no effect without a pin of heat"),
-        ("resistor", {}, {"reference_temperature": "20 K"}, "no effect without a pin of heat"),
+        ("resistor", {}, {"temperature_coefficient": 4e-3}, "no effect without a heat pin"),
+        ("resistor", {}, {"reference_temperature": "20 K"}, "no effect without a heat pin"),
     ],
 )
 def test_bad_joins_and_keys_of_heat_are_refused(kind, pins, keys, words):

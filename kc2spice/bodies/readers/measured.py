@@ -334,7 +334,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     """Read real vectors as columns, or a complex array as a response."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
-        raise ValueError(f"variables {', '.join(variables)}, and no variable is the frequency")
+        raise ValueError(f"no variable is the frequency; the variables are {', '.join(variables)}")
     n, names = variables[first].size, ", ".join(variables)
     columns = {
         name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"

@@ -327,8 +327,8 @@ def _apply_format(
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
     """Name the numbers of a trace by the ``FORMAT`` in the file, and add a note.
 
-    The second number of one real quantity is zero. Next to |Z| or |Y|, the second trace may be the
-    phase.
+    If a trace is a real quantity, its second number is zero. If the first trace is |Z| or |Y|, the
+    second trace may be the phase.
 
     Raises
     ------
@@ -412,7 +412,7 @@ def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
 
 
 def _find_frequency_column(table: TextTable) -> int | None:
-    """Return the index of the first column with frequencies; None if no column has them."""
+    """Return the index of the first column with frequencies; None if there is no such column."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 

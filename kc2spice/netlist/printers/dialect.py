@@ -351,7 +351,7 @@ class Dialect(Printer, ABC):
             raise self.refusal(None, f"the function {function}", known)
         return super().call(spelled, arguments)
 
-    def test(self, tree: Tree) -> str:
+    def condition(self, tree: Tree) -> str:
         """Return a condition; true is nonzero in ngspice, and above one half in LTspice."""
         if isinstance(tree, Binary) and tree.op in _COMPARISON_OPERATORS:
             return super().write(tree)
@@ -365,7 +365,7 @@ class Dialect(Printer, ABC):
         """
         match tree:
             case Choice(test, yes, no):
-                return f"if({self.test(test)}, {self.write(yes)}, {self.write(no)})"
+                return f"if({self.condition(test)}, {self.write(yes)}, {self.write(no)})"
             case Binary("^", left, right):
                 return f"pow(abs({self.write(left)}), {self.write(right)})"
             case Binary("&&" | "||" | "==" | "!=") | Unary("!"):

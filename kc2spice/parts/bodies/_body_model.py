@@ -167,7 +167,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             problem = "a netlist with parameters can only have viscous damping"
             raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
         if self.gives_off_heat(part, scene):
-            problem = "a netlist with parameters has no pin of heat"
+            problem = "a netlist with parameters has no heat pin"
             raise wrong(
                 f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none"
             )
@@ -388,7 +388,7 @@ def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """Build the full model of a body in its scene; None if matrices cannot represent its losses."""
+    """Build the full model of a body in its scene; None if matrices cannot represent the losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)

@@ -75,7 +75,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
 
             result = self.varying(part, build.scene, Clock())
             known = {item.key: item.param for item in keys}
-            params = [*map(known.__getitem__, result.box)]
+            params = [*map(known.__getitem__, result.parameter_axes)]
             return (parametric_subcircuit(result, name, params, header, **words),)
         return (
             subcircuit(

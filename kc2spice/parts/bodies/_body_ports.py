@@ -120,7 +120,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
 
     def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
-        """Whether the scene joins the pin of heat, by which the losses leave.
+        """Whether the scene joins the heat pin, by which the losses leave.
 
         Bodies with a port of this name, and heat bodies, do not have this pin.
         """

@@ -94,7 +94,7 @@ def make_varied_key(
 ) -> VariedKey:
     """Make a key with its range, whose ends may be in either order.
 
-    Ranges ``from_zero`` may begin at zero.
+    With ``from_zero``, the range may begin at zero.
 
     Raises
     ------

@@ -114,7 +114,7 @@ def neglected_effects(
     """Yield the effects that the model of the body ``name`` neglects.
 
     If ``support`` names the mounting, its compliance is one of the effects. The losses of a
-    ``heated`` body flow out of its pin of heat.
+    ``heated`` body flow out of its heat pin.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)

@@ -294,7 +294,7 @@ dc = "1 W"
             yield from find_mesh_problems(part, scene)
 
     def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> Rest:
-        """Return the paths of heat at rest: to the pin ambient, or among its pins."""
+        """Return the paths of steady heat flow: to the pin ambient, or among the pins."""
         rest = super().at_rest(part, scene)
         if part.keys.leads_away:
             return rest

@@ -334,7 +334,9 @@ def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Time of the last entry into ``target`` ± ``band``; None if the data end outside."""
+    """Time of the last entry into ``target`` ± ``band``; None if the last value is outside of the
+    band.
+    """
     outside = np.abs(y - target) > band
     if outside[-1]:
         return None

@@ -197,7 +197,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return the paths between all pins except the pin of heat."""
+        """Return the paths between all pins except the heat pin."""
         paths = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in paths if HEAT not in path))
 
@@ -322,7 +322,7 @@ def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
 
 
 def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
-    """Meter of the pin of heat, and the power of each motional resistance as a heat flow."""
+    """Meter of the heat pin, and the power of each motional resistance as a heat flow."""
     yield from attach_comments(meter_cards())
     for n in content.modes:
         drop = f"V(inner,motion{n})"

@@ -115,9 +115,7 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """If the netlist is the driver in the table of another part, its ``command`` is the output
-        of the controller.
-        """
+        """Join the pin ``command`` of a driver table to the output of the controller."""
         control = scene.only("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _pins(part, scene):

@@ -125,7 +125,7 @@ part = "source"
 class LinearElement(DeclaredPart[KeysT]):
     """``through = admittance d^order/dt^order`` of voltage or velocity: one plain card.
 
-    An element whose pin of heat is joined is a subcircuit instead.
+    An element whose heat pin is joined is a subcircuit instead.
 
     Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
     alone in an ac analysis: a resistance has its law, an inductance its branch, and a capacitance
@@ -166,7 +166,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element has a pin of heat, and so is a subcircuit."""
+        """Return whether the element has a heat pin, and so is a subcircuit."""
         return is_heated(part, scene)
 
     def subcircuits(

@@ -419,7 +419,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def add_ring_error(
         self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int
     ) -> Ladder:
-        """The loops with the error of their rings."""
+        """Return the loops with the estimated error of the division into rings."""
         return ladder
 
 
@@ -531,7 +531,7 @@ def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]
 
 
 def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
-    """Skin depth [m]: Return the skin depth [m], ``1 / sqrt(pi f MU_0 conductivity)``."""
+    """Return the skin depth [m], ``1 / sqrt(pi f MU_0 conductivity)``."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
@@ -547,7 +547,7 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Cel
 
 
 def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
-    """The least time constant [s] of its coils with the resistors in series."""
+    """Return the shortest time constant [s] of the coils with their series resistors."""
     result = []
     for name, coil, winding in zip(
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True

@@ -158,7 +158,7 @@ def coils_subcircuit(
 
     ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
     the temperature coefficient [1/K] and the reference temperature [K] of the wire; without both,
-    there are no pins of heat.
+    there are no heat pins.
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
     low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
@@ -221,7 +221,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (*ends, *thermal)
 
     def at_rest(self, part: Part[Coils], scene: WiredScene) -> Rest:
-        """Return the clamps of all pins with a path, except the pin of heat, which has no path."""
+        """Return the clamps of all pins with a path, except the heat pin, which has no path."""
         clamps = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in clamps if HEAT not in path))
 

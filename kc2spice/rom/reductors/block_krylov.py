@@ -81,7 +81,7 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
     """Return at most ``count`` block Krylov vectors of a definite model.
 
-    The vectors belong to zero frequency.
+    The expansion point of the Krylov space is zero frequency.
     """
     return krylov_space(pencil).vectors(count)
 

@@ -68,7 +68,7 @@ class ExactSamples:
     def model(self) -> tuple[Pencil, float]:
         """Make the oblique projection that best reproduces the samples.
 
-        The second result is its largest error at the samples.
+        The second result is the largest error of the projection at the samples.
         """
         W, P = self._left, self.pencil
         U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))

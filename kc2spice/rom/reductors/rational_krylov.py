@@ -111,8 +111,8 @@ def rational_krylov_model(
 ) -> IntermediateModel:
     """Return a model within ``target`` over ``band`` [Hz].
 
-    The error is within ``limit`` if rounding prevents ``target``. The reduction uses a limited
-    number of factorisations.
+    If rounding errors prevent the error ``target``, the error is within ``limit``. The reduction
+    uses a limited number of factorisations.
 
     The error is the error of the projection at the last points, before they joined the basis.
 

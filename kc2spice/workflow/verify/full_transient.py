@@ -113,7 +113,8 @@ def solve_full_differences(
 ) -> tuple[Difference, Difference, str]:
     """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
 
-    Returns the difference of the models for each, and a text that describes the steps.
+    Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
+    text that describes the steps.
     """
     bodies = port_bodies_of(network)
     parts = build.scene.parts

@@ -485,13 +485,13 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
     """
     begin = time.monotonic()
 
-    def share(done: float) -> None:
+    def report_in_time(done: float) -> None:
         """Raise an error if the time limit is exceeded."""
         progress(done)
         if time.monotonic() - begin > seconds:
             raise _IntegrationTimeoutError(done)
 
-    return share
+    return report_in_time
 
 
 def _cut_waves(waves: Waveforms, end: float | None) -> Waveforms:
