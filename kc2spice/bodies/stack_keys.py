@@ -171,8 +171,8 @@ class Chip(Section):
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
         if outermost > half * (1 - 1e-6):
             raise ValueError(
-                f"mesh.rings: a contact ring of radius {outermost:g} m lies beyond the chip, half "
-                f"of whose smaller side is {half:g} m"
+                f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the chip; "
+                f"half of the smaller side is {half:g} m"
             )
         if self.poling == "x" and self.mounting in ("roller", "free"):
             raise ValueError('poling = "x" needs mounting = "glued"')

@@ -497,7 +497,7 @@ def _parse_number(si: str, value: object) -> float:
 
 
 def _parse_number_with_unit(si: str, value: object) -> float:
-    """Convert a quantity to the unit ``si``; a number without a unit is an error."""
+    """Convert a quantity to the unit ``si``; a number without a unit causes an error."""
     if not isinstance(value, str):
         raise invalid_value_error("the unit of this value is missing", f'a string such as "1 {si}"')
     return _parse_number(si, value)

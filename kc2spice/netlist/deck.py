@@ -234,7 +234,7 @@ class Deck:
 
         Raises
         ------
-        UsageError : a broken card.
+        UsageError : an invalid card.
         """
         if self.text is None:
             return self.printed_for(*self._usage_comment)
@@ -246,7 +246,7 @@ class Deck:
 
         Raises
         ------
-        UsageError : a broken card.
+        UsageError : an invalid card.
         """
         more = {name: read_cards(text, name) for name, text in self.more.items()}
         libraries = dict(map(attrgetter("filename", "circuit"), self.parts))
@@ -265,7 +265,7 @@ class Deck:
 
         Raises
         ------
-        UsageError : a broken card, a missing or circular include, a name defined twice.
+        UsageError : an invalid card, a missing or circular include, a name defined twice.
         """
         return scoped(self.circuit, self.trees, self.main)
 

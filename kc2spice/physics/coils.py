@@ -93,7 +93,8 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
     """Return coils with a heat pin, whose resistances follow its temperature.
 
-    A current that is a signal follows from the temperature too, which is then measured.
+    If a current is a signal, the pin temperature is measured and divides this signal by the
+    resistance ratio.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:

@@ -35,7 +35,7 @@ def render_figure(figure: Figure) -> str:
     Panels without a curve are left out. A figure without other panels is empty.
     """
     stacked = figure.columns == 1
-    panels = list(chain.from_iterable(map(_prepare_panel, figure.panels)))
+    panels = list(chain.from_iterable(map(_split_panel, figure.panels)))
     if not panels:
         return ""
     if stacked:
@@ -63,7 +63,7 @@ def render_figure(figure: Figure) -> str:
 # --- curves and units of a panel ------------------------------------------------------------------
 
 
-def _prepare_panel(panel: Panel) -> Iterator[Panel]:
+def _split_panel(panel: Panel) -> Iterator[Panel]:
     """Split a panel into panels with few ascending curves; an empty panel gives no panels."""
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))

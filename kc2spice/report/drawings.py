@@ -107,7 +107,7 @@ def draw_circuit(scene: Scene) -> str:
         x += width + 22
     spans = {net: (min(rows)[0], max(rows)[0]) for net, rows in ends.items()}
     lines = {net: span for net, span in spans.items() if net != "0" and len(ends[net]) > 1}
-    levels = _stack_nets(lines)
+    levels = _assign_levels(lines)
     top = NET_SPACING * (1 + max(levels.values(), default=0)) + 18
     nets = []
     for net, rows in ends.items():
@@ -128,7 +128,7 @@ def draw_circuit(scene: Scene) -> str:
     return render_page("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
 
 
-def _stack_nets(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
+def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
     """Return the level of each net; nets of one level do not overlap."""
     levels: list[list[tuple[float, float]]] = []
     result = {}

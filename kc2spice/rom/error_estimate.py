@@ -83,7 +83,7 @@ def adaptive_frequencies(
 
 
 def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Sizes of inner minima of responses ``H`` that may lead to a deeper minimum.
+    """Return the sizes of inner minima of ``H`` that may be near a deeper minimum.
 
     H has a peak of 1. Other values are infinite. At a minimum near a zero, a neighbour is much
     larger, or the straight line to the neighbour passes much nearer to zero. Minima below the floor

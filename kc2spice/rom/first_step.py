@@ -114,7 +114,7 @@ def _build_definite_model(
     """Build the model of a definite pencil or of a free body; return None for all others.
 
     With potentials, the search for rigid-body modes takes less time than a factor of the
-    stiffness. The search comes first if no factor of K is known.
+    stiffness. If no factor of K is known, this search precedes the factorisation.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:

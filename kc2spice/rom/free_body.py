@@ -71,7 +71,9 @@ class FreeBody:
         """Rigid-body modes (n, r), orthonormal in the shifted stiffness: first of a basis."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
-    def separate(self, projected: Pencil, V: np.ndarray) -> tuple[Pencil, np.ndarray]:
+    def separate_rigid_body_modes(
+        self, projected: Pencil, V: np.ndarray
+    ) -> tuple[Pencil, np.ndarray]:
         """Return a projection with exact rigid-body modes, and its coordinates as columns.
 
         The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are left

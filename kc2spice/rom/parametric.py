@@ -151,7 +151,7 @@ class ParameterPolynomials:
         return np.asarray(polynomials(x, self.exponents)[0])
 
     def damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
-        """alpha and beta, from the ``pair`` at the middle of the axis of every loss."""
+        """Scale the ``pair`` (alpha, beta) at the middle of all ranges to ``values``."""
         alpha, beta = pair
         for loss in self.losses:
             share = values[loss.axis.name] / loss.axis.middle

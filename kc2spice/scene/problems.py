@@ -273,7 +273,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error of a sound pressure level that the analysis does not have."""
+    """Yield an error if the analysis cannot compute a sound pressure level."""
     if probe.take != "spl":
         return
     kinds = ("ac",) if probe.at is not None else ("ac", "transient")

@@ -76,7 +76,7 @@ def merge_equal_subcircuits(build: Build) -> Build:
     The subcircuit has the name of the part type if the subcircuits of all parts of the type are
     equal. Otherwise each group of equal subcircuits has the name of its first part's subcircuit.
     """
-    header, names = Header(build.scene.name, scene_hash(build.scene)), _number_subcircuits(build)
+    header, names = Header(build.scene.name, scene_hash(build.scene)), _name_libraries(build)
     kinds: dict[str, list[Part]] = {}
     for part in build.scene.parts.values():
         if part.name in names:
@@ -100,7 +100,7 @@ def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
     return tuple(map(attrgetter("text"), part.type.subcircuits(part, build, header)))
 
 
-def _number_subcircuits(build: Build) -> dict[str, str]:
+def _name_libraries(build: Build) -> dict[str, str]:
     """Return the libraries of all parts, with different names for different subcircuits.
 
     Bodies with one part number may have different subcircuits, for example with different ports.

@@ -60,7 +60,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
         return None
     if power is None:
         raise UsageError(
-            "contains a temperature, whose network depends on the power",
+            "this file contains a temperature, and the power is missing",
             where=data.where,
             got=data.columns,
             expected="the power that was switched on or off at the time zero",
@@ -70,7 +70,9 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
     if value <= 0:
         hint = "state its size; the direction follows from the temperature"
         expected = 'a positive power, such as "2 W"'
-        raise UsageError("is no power", where="--power", got=power, expected=expected, hint=hint)
+        raise UsageError(
+            "this is not a positive power", where="--power", got=power, expected=expected, hint=hint
+        )
     return value
 
 

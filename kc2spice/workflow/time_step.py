@@ -279,10 +279,10 @@ def list_step_checks(
 ) -> Iterator[Check]:
     """Check the effect of the time steps on the waves of a run.
 
-    Waves of a linear circuit are compared with its exact motion, unless a contact sets the steps,
-    which then do not resolve all ringing. In any other circuit the outputs of each linear body are
-    compared with its exact response to the recorded loads. If a contact sets the steps, these
-    checks only warn.
+    Waves of a linear circuit are compared with the exact motion of the circuit. This comparison is
+    left out if a contact sets the steps, because such steps do not resolve all ringing. In any
+    other circuit the outputs of each linear body are compared with its exact response to the
+    recorded loads. If a contact sets the steps, these checks only warn.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:

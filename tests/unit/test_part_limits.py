@@ -19,7 +19,7 @@ PRESSED = {**LOOP, "contact": {"shape": "pressure"}}  # under rings to 250 um
 LIMITS = [
     # layered chips
     (ALONE, "kick.mesh.ring_spacing=1.49 mm; kick.mesh.rings=1",
-     "kick.mesh.ring_spacing=1.5 mm; kick.mesh.rings=1", "beyond the chip"),
+     "kick.mesh.ring_spacing=1.5 mm; kick.mesh.rings=1", "does not fit on the chip"),
     (LOOP, "kick.drive.edge=25 us", "kick.drive.edge=25.1 us", "longer than its width"),
     (LOOP, "kick.drive.start=0", "kick.drive.start=-1 us", "out of range"),
     (LOOP, "kick.drive.start=4.99 ms", "kick.drive.start=5 ms", "after the simulation"),

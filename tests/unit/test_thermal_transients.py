@@ -190,8 +190,8 @@ RISE = 300 + 2 * ZTH.step_response(TIME)
 @pytest.mark.parametrize(
     ("head", "time", "value", "options", "words"),
     [
-        ("time_s,temperature_k", TIME, RISE, {}, "depends on the power"),
-        ("time_s,temperature_k", TIME, RISE, {"power": "-2 W"}, "is no power"),
+        ("time_s,temperature_k", TIME, RISE, {}, "the power is missing"),
+        ("time_s,temperature_k", TIME, RISE, {"power": "-2 W"}, "not a positive power"),
         ("time_s,temperature_k", TIME, RISE, {"power": "2 V"}, "--power"),
         (
             "time_s,temperature_k",

@@ -56,7 +56,7 @@ def assemble_model(rows: Rows) -> LinearModel:
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the outputs in this package.
 
-    A square C next to M and K may be the damping or the outputs, and is an error unless the
+    A square C next to M and K may be the damping or the outputs, and causes an error unless the
     sidecar states its meaning.
     """
     matrices, settings = rows.matrices, rows.sidecar
@@ -103,7 +103,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
 
     Without M the model is of first order, such as heat conduction ``E x' + K x = B u``. A matrix of
     which one triangle is stored is mirrored only if the sidecar states ``symmetric = true``.
-    Otherwise a matrix with one triangle is an error, and so is a matrix of zeros other than E.
+    Otherwise a matrix with one triangle causes an error. So do zero matrices other than E.
     """
     matrices = dict(rows.matrices)
     stiffness = matrices.get("K")

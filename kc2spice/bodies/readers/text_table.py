@@ -81,7 +81,7 @@ class TextTable(EqualByContent):
 def read_tables(text: str) -> list[TextTable]:
     """Read the tables of a text, the longest first.
 
-    Blocks of the same frequencies are one table.
+    Blocks with the same frequencies are joined into one table.
 
     Raises
     ------

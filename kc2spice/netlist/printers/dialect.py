@@ -90,7 +90,7 @@ class Dialect(Printer, ABC):
     replaces. ``known_options`` are options that the simulator has, after ``option_prefix``; other
     options are written as comments. Commands in ``joined`` are merged into one card.
     ``parameters`` are the parameters of each kind of card. ``temperature`` is the name of the
-    temperature in expressions; without one, such an expression is an error.
+    temperature in expressions; without one, such an expression causes an error.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
     analysis. :meth:`refusal` is the error for a construct that the simulator lacks.

@@ -181,7 +181,7 @@ def _unknown_key(part: Part, key: str, where: str) -> UsageError:
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
-    """Read the table of a material in the class of the part's materials."""
+    """Validate a material table by the schema of the part type."""
     return validate(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
 
 

@@ -54,7 +54,7 @@ class Envelope:
     electrode: float = 0.0
 
 
-def disc_air(radius: float) -> float:
+def disc_air_mass(radius: float) -> float:
     """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``.
 
     In a baffle it moves this mass on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
@@ -72,7 +72,7 @@ def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelo
     for block in blocks:
         inner, outer = block.box[0]
         mass += math.pi * (outer**2 - inner**2) * block.thickness * block.material.density
-    air = (2 if baffled else 1) * disc_air(radius)
+    air = (2 if baffled else 1) * disc_air_mass(radius)
     layers = blocks if glued else ()
     return Envelope(air, mass, surface, layers, radius, math.pi * radius**2)
 
@@ -101,11 +101,11 @@ def box_envelope(sides: Sequence[float]) -> Envelope:
     """
     if len(sides) == 2:
         radius, height = sides
-        return Envelope(disc_air(radius), None, 2 * math.pi * radius * (radius + height))
+        return Envelope(disc_air_mass(radius), None, 2 * math.pi * radius * (radius + height))
     small, middle, large = sorted(sides)
     radius = math.sqrt(middle * large / math.pi)
     surface = 2 * (small * middle + small * large + middle * large)
-    return Envelope(disc_air(radius), None, surface)
+    return Envelope(disc_air_mass(radius), None, surface)
 
 
 def neglected_effects(

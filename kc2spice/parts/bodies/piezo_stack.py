@@ -23,7 +23,7 @@ from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, re
 from kc2spice.parts.bodies._body_ports import required_ports
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.parts.bodies._neglected import Envelope, disc_air
+from kc2spice.parts.bodies._neglected import Envelope, disc_air_mass
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Penetration, Surface, make_pair
@@ -327,7 +327,7 @@ class PiezoStack(MeshedBody[Stack]):
             area, rim = math.pi * x**2, 2 * math.pi * x
         surface = 2 * area + rim * height
         return Envelope(
-            disc_air(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
+            disc_air_mass(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
         )
 
     def describe_support(self, part: Part[Stack]) -> str:

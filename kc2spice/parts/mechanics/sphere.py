@@ -355,7 +355,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             why = f"the part is rigid unless {part.name}.elastic"
             yield Neglected("elasticity of the sphere", why, _elasticity_effect(part, scene))
         if scene.analysis.type == "transient":
-            yield _air_drag(part.keys)
+            yield _neglected_air_drag(part.keys)
             why = "the part moves along one axis"
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
@@ -423,7 +423,7 @@ def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     return f"the indentation would be {100 * stiffest / sphere_modulus:.0f} % softer"
 
 
-def _air_drag(keys: SphereKeys) -> Neglected:
+def _neglected_air_drag(keys: SphereKeys) -> Neglected:
     """Schiller-Naumann drag on a sphere at 1 m/s, against its weight."""
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY

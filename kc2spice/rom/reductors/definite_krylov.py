@@ -78,7 +78,7 @@ def definite_krylov_model(
         projection.extend(V, images if body is None else K @ columns, inertia)
         small, basis = projection.pencil, V
         if body is not None:
-            small, coordinates = body.separate(projection.pencil, V)
+            small, coordinates = body.separate_rigid_body_modes(projection.pencil, V)
             basis = V @ coordinates
         response = Response(small)
         response.zero = zero_entries(pencil, basis, response, band)

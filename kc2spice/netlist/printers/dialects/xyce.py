@@ -63,9 +63,9 @@ class Xyce(Dialect):
     def directive(self, card: Directive) -> str:
         """Return the card of an analysis that Xyce runs like ngspice.
 
-        A logarithmic range ends at the first point at or beyond its end. Xyce would stop before an
-        end that is not one of its points. Steps are limited if a controller closes a
-        loop: error control alone loses 5e-4 of a launch. Contacts begin at rest.
+        The logarithmic range is extended to the next point at or beyond its end, because Xyce stops
+        at the last point before the end. Steps are limited if a controller closes a loop: error
+        control alone loses 5e-4 of a launch. Contacts begin at rest.
         """
         if card.keyword == ".tran":
             nodes = (
