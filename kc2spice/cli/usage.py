@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import itertools
 import re
 import shlex
 from importlib import resources
@@ -17,6 +18,7 @@ from kc2spice.cli.tables import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
+_SEARCH_ARGUMENT = "SEARCH"  # name of an argument of several words
 _ParserError: Any = typer.BadParameter.__base__  # older versions of typer use the class of click
 
 
@@ -162,6 +164,9 @@ def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageEr
         hint = f"put quotes around a value with blanks: --set {shlex.quote(' '.join(value))}"
     elif "=" in word:
         hint = f"write --set {shlex.quote(word)}"
+    elif any(item.metavar == _SEARCH_ARGUMENT for item in command.params):
+        words = itertools.takewhile(lambda item: not item.startswith("-"), typed)
+        hint = f"write {PROGRAM} {command.name} {shlex.quote(' '.join(words))}"
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
         "the command line has one argument too many",
@@ -210,6 +215,9 @@ def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -
         if low is not None or high is not None:
             expected = f"{kind}, {limits}"
             hint = f"for example {name} {max(low or 1, 1) if high is None else high:g}"
+        share = wrong.removesuffix("%").strip()
+        if wrong.endswith("%") and _is_number(share) and not fractional:
+            hint = f"write {name} {float(share) / 100:.12g}"
         return UsageError(problem, where=name, got=wrong, expected=expected, hint=hint)
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
     with contextlib.suppress(UsageError):

@@ -31,6 +31,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.prefix import format_quantity
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
@@ -215,19 +216,31 @@ def _explain_missing(
     """Return the values that a missing key accepts, and the line to add."""
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
-    value = f'"1 {unit}"' if unit else "VALUE"
+    value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
     place = f"  to {table}" if table else ""
-    expected = f'a number in {unit}, or a string with a unit such as "1 {unit}"' if unit else None
+    expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else None
     return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
-def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """Return the SI unit of the key at ``path``, None without a unit.
+def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
+    """Return a plausible value of the key at ``path``: a power of ten within its range."""
+    field = _find_field(schema, path)
+    plausible = None if field is None else plausible_range_of(field)
+    if plausible is None:
+        return f"1 {unit}"
+    middle = 10.0 ** round(math.log10(math.sqrt(plausible.low * plausible.high)))
+    return format_quantity(middle, plausible.unit).replace("µ", "u")
 
-    Numbers of list entries in the path are ignored.
-    """
+
+def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
+    """Return the key at ``path``, whose numbers of list entries are ignored."""
     names = tuple(step for step in path if isinstance(step, str))
-    field = dict(list_keys(schema)).get(names)
+    return dict(list_keys(schema)).get(names)
+
+
+def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """Return the SI unit of the key at ``path``, None without a unit."""
+    field = _find_field(schema, path)
     return None if field is None else find_unit(field)
 
 

@@ -27,6 +27,10 @@ MAX_BRACKET_LINES = 40
 MAX_LINE_LENGTH = 500  # characters of a line that the repairs search
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
+# double and single typographic quotes, each replaced by a double quote
+_PLAIN_QUOTES = str.maketrans(
+    dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
+)
 _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 
@@ -267,8 +271,18 @@ def _repair_round_brackets(lines: Sequence[str], number: int) -> Iterator[_Repai
             return
 
 
+def _repair_typographic_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of typographic quotes, which text processors write."""
+    line = lines[number - 1]
+    plain = line.translate(_PLAIN_QUOTES)
+    if plain != line:
+        problem = "typographic quotes are not quotes in TOML"
+        yield _Repair(problem, number, plain, _suggest_line(plain))
+
+
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
+    _repair_typographic_quotes,
     _repair_round_brackets,
     _repair_separator,
     _repair_quotes,

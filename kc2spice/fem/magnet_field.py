@@ -388,10 +388,13 @@ def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest:
     bottom, top = lowest - half, highest + half
     _, floor, _, ceiling = air_section(catch)
     if bottom <= floor + pitch or top >= ceiling - pitch:
-        expected = f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m"
-        hint = "shorten the travel or raise catch.air_height"
+        least, most = floor + half + pitch, ceiling - half - pitch
+        expected = f"within {1e3 * least:.4g} mm to {1e3 * most:.4g} mm"
+        hint = f'for example  y_max = "{1e3 * (most - pitch):.3g} mm"'
+        if bottom <= floor + pitch:
+            hint = f'for example  y_min = "{1e3 * (least + pitch):.3g} mm"'
         problem = "the range of the sphere extends beyond the air cylinder"
-        got = f"{lowest:g} m to {highest:g} m"
+        got = f"{1e3 * lowest:.4g} mm to {1e3 * highest:.4g} mm"
         raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine
     columns = ceil(wall / (_LATTICE_SIZE * size))

@@ -252,10 +252,9 @@ class LinearModel:
                     f"matrix {letter} has a wrong size",
                     where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
-                    expected=" x ".join(map(str, shape)) + ", at least one row and column",
-                    hint="pass a damping matrix as E; D is the feedthrough matrix"
-                    if letter == "D" and matrix.shape == (n, n)
-                    else None,
+                    expected=" x ".join(map(str, shape))
+                    + (", at least one row and column" if 0 in shape else ""),
+                    hint=_suggest_size(letter, matrix.shape, shape),
                 )
         put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
         _require_heat(self)
@@ -673,6 +672,18 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
             hint="for a damping ratio z at f [Hz], write rayleigh=(0, z / (pi * f))",
         ) from None
     return alpha, beta
+
+
+def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    """Suggest how to correct the size of a matrix."""
+    if letter == "D" and shape[0] == shape[1]:
+        return "pass a damping matrix as E; D is the feedthrough matrix"
+    swapped = {"B": shape[1] == expected[0], "C": shape[0] == expected[1]}
+    if swapped.get(letter):
+        return f"transpose {letter}"
+    if letter in ("B", "C", "D"):
+        return f"export {letter} for the same degrees of freedom as the other matrices"
+    return f"export {letter} from the same mesh, with the same constraints as the other matrices"
 
 
 def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:

@@ -121,12 +121,15 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
             # the sentence contains names of keys in the user's spelling
             name = check.name if " " in check.name else check.name.replace("_", " ")
+            cause, colon, action = check.advice.partition(": ")
+            if "(" in cause:
+                cause, colon, action = "", "", ""
             raise SimulationError(
-                f"a check of the result failed: {name}",
+                f"{cause} (check: {name})" if colon else f"a check of the result failed: {name}",
                 where=where,
                 got=value,
                 expected=f"at most {limit}",
-                hint=check.advice,
+                hint=action or check.advice,
             )
 
 

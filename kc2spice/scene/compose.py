@@ -148,12 +148,21 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         return
     first, second = scene.terminals[a], scene.terminals[b]
     if not _are_compatible(first, second):
+        fitting = (
+            pin
+            for pin, terminal in scene.terminals.items()
+            if pin[0] != a[0] and _are_compatible(first, terminal)
+        )
+        choices = list(map(".".join, fitting))
+        name = ".".join(b)
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
-            got=f"{'.'.join(a)} is a pin in {first.kind}, {'.'.join(b)} a pin in {second.kind}",
-            expected=f"another pin in {first.kind}, or gnd",
-            hint=f"kc2spice scenes --part {scene.parts[b[0]].type.name} lists its pins",
+            got=f"{'.'.join(a)} is a pin in {first.kind}, {name} a pin in {second.kind}",
+            expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
+            if choices
+            else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
+            hint=f'write  {a[1]} = "{choices[0] if choices else GROUND}"',
         )
 
 

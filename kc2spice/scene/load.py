@@ -148,8 +148,16 @@ def _require_known_parts(
             f"this scene has no part {name!r}",
             where=source.where(name),
             expected=f"a key of one of its parts: {list_candidates(name, parts)}",
-            hint=did_you_mean(name, parts) or "use the name of one of these parts",
+            hint=did_you_mean(name, parts) or _suggest_part(table, tables, parts),
         )
+
+
+def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]) -> str:
+    """Suggest the first part that has the first of the ``keys``."""
+    word = next(iter(keys), "")
+    owners = (part for part in parts if f"{part}.{word}" in _list_part_keys(part, tables[part]))
+    owner = next(owners, None)
+    return "use the name of one of these parts" if owner is None else f"write {owner}.{word}"
 
 
 def _copy_tables(value: Any) -> Any:

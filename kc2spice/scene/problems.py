@@ -8,6 +8,7 @@ from math import inf
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plausible import ImplausibleError, apply_action
@@ -134,10 +135,11 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
         yield UsageError(
             "the frequency range is empty",
             where=scene.select_overridden_key("analysis.start", "analysis.stop"),
-            got=f"{start:g} … {stop:g} Hz",
-            expected=f"a stop above the start, {start:g} Hz, and points that differ by "
-            f"more than {SMALLEST_STEP_RATIO:g} of the stop",
-            hint="raise analysis.stop, or lower analysis.start",
+            got=" to ".join(format_quantity(end, "Hz", 12) for end in (start, stop)),
+            expected=f"a stop above the start, {format_quantity(start, 'Hz')}"
+            if stop <= start
+            else f"points that differ by more than {SMALLEST_STEP_RATIO:g} of the stop",
+            hint=f'for example  stop = "{format_quantity(10 * start, "Hz")}"',
         )
     if selected.scale != "log":
         return

@@ -211,7 +211,8 @@ def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> Non
     for option, value in options.items():
         if value is not None:
             hint = f"leave out {option}"
-            raise UsageError(problem, where=option, got=value, expected=expected, hint=hint)
+            got = " ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else value
+            raise UsageError(problem, where=option, got=got, expected=expected, hint=hint)
 
 
 def _reduce_matrices(

@@ -138,6 +138,13 @@ def rows(text):
          "kc2spice export"),
         ("run impact --deck .", ".: this path is a directory", "", "kc2spice export"),
         ("reduce ..", "..: this path is a directory", "", "a file in this directory"),
+        ("parts murata buzzer", "one argument too many", "buzzer",
+         "write kc2spice parts 'murata buzzer'"),
+        ("reduce {table} --band 5e5 0", "does not apply to a measured response", "500000 0",
+         "leave out --band"),
+        ("bench impact --error 1%", "this value is not a number", "1%", "write --error 0.01"),
+        ("run kick_and_catch --set disc.layers=3", "this scene has no part 'disc'", "",
+         "write kick.layers"),
     ],
 )  # fmt: skip
 def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
@@ -179,6 +186,8 @@ def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
         ('dc = "10 V"', "pwl = [[0, 0], [0, 1]]", 3, "from row 1 to row 2", "sort the rows"),
         ('dc = "10 V"', 'sine = { amplitude = "1 V" }', 3, "sine.frequency is missing",
          'frequency = "1 Hz"'),
+        ('type = "op"', 'type = "ac"\nstart = "20 kHz"\nstop = "10 kHz"', 11, "range is empty",
+         'stop = "200 kHz"'),
     ],
 )  # fmt: skip
 def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
@@ -199,6 +208,7 @@ def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
          "a comma separates keys", 'pins = { a = "battery.out", b = "gnd" }'),
         ('dc = "10 V"', "pwl = ([0, 0], [1, 1])", 3, "a list is between [ and ]",
          "pwl = [[0, 0], [1, 1]]"),
+        ('dc = "10 V"', "dc = \u201c10 V\u201d", 3, "typographic quotes", 'dc = "10 V"'),
     ],
 )  # fmt: skip
 def test_a_mistake_in_the_syntax_of_a_scene(cli, line, otherwise, place, head, advice):
@@ -222,6 +232,7 @@ def test_a_scene_as_a_deck_and_a_misspelt_suffix(cli):
         ('material = "PZT-5A"', 'material = "PZT5A"', 8, "did you mean 'PZT-5A'?"),
         ('material = "PZT-5A"', 'material = "steel"', 1, 'material = "PZT-5A"'),
         ('thickness = "0.2 mm"\n[analysis]', 'thickness = "0.2 m"\n[analysis]', 10, '"0.2 mm"'),
+        ('thickness = "0.2 mm"\n[analysis]', "[analysis]", 7, 'thickness = "100 um"'),
     ],
 )
 def test_a_mistake_in_an_entry_of_a_list(cli, line, otherwise, place, advice):
@@ -287,6 +298,10 @@ def test_a_port_beside_matrices(cli, table, head, advice):
         (lambda: kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones(2)), "B has 1 dimensions",
          "B.reshape(-1, 1)"),
         (lambda: kc.LinearModel(K=np.eye(2), B=np.ones((2, 1))), "lacks matrices", "M=MASS_MATRIX"),
+        (lambda: kc.LinearModel(M=np.eye(3), K=np.eye(2), B=np.ones((2, 1))), "M has a wrong size",
+         "from the same mesh"),
+        (lambda: kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), C=np.ones((2, 1))),
+         "C has a wrong size", "transpose C"),
         (lambda: kc.sweep("impact", {}), "no key has more than one value", "a list of values"),
         (lambda: kc.sweep("impact", ["a"]), "values: this object is not a mapping", "a mapping"),
         (lambda: kc.run("impact", overrides=["sphere.radius"]), "overrides: the value of the key",
@@ -463,3 +478,45 @@ def test_an_unknown_name_of_a_result_lists_similar_names(table):
     assert isinstance(caught.value, kc.errors.UsageError)
     assert name in str(caught.value).split("expected:")[1]
     assert f"{name}x" not in values
+
+
+def test_a_join_of_different_kinds_names_pins_that_fit(cli):
+    Path("own.toml").write_text(
+        DIVIDER
+        + """[mass]
+part = "mass"
+mass = "1 g"
+pins = { a = "battery.out" }
+[spring]
+part = "spring"
+stiffness = "1 N/m"
+"""
+    )
+    found = rows(cli("run", "own.toml").stderr)
+    assert "joins pins of different kinds" in found["head"]
+    assert found["expected"] == "gnd, or a pin in um/N: spring.a, spring.b"
+    assert found["next"] == 'write  a = "spring.a"'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "head", "advice"),
+    [
+        ("own.s1p", "# MHz S RI R 50\n1 0.5 0.1\n2 O.5 0.1\n", "line 3 contains 'o.5'", "export"),
+        ("own.npz", "text", "not an archive of numpy.savez", "export the file again"),
+    ],
+)
+def test_a_damaged_file_of_data(cli, name, content, head, advice):
+    Path(name).write_text(content)
+    found = rows(cli("reduce", name).stderr)
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+def test_a_failed_check_begins_with_its_cause():
+    advice = "the sphere left the field table: raise catch.y_max to 9 mm"
+    check = Check("table_left", 1e-3, 0.0, "m", advice, "fail")
+    with pytest.raises(kc.errors.SimulationError) as caught:
+        require_passed((check,), "kick_and_catch")
+    found = rows(str(caught.value))
+    assert found["head"] == "kick_and_catch: the sphere left the field table (check: table left)"
+    assert found["next"] == "raise catch.y_max to 9 mm"

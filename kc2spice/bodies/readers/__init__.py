@@ -241,8 +241,8 @@ _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|
 _SINGLE_FILE = ""  # key of a single file with all matrices, for a name without suffix
 _MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS_EXPECTED = (
-    "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
-    "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
+    "an archive by numpy.savez(FILE, M=M, K=K, B=B); a scipy.sparse K as K.data, K.indices, "
+    "K.indptr, K.shape and K.format, or in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
 _JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices

@@ -19,6 +19,7 @@ D u``.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -44,6 +45,12 @@ MAX_BYTES = 4_000_000_000  # one file, unpacked
 # bytes of an unpacked file: a fixed amount, and a multiple of its packed size
 UNPACKED_LIMITS = 100_000_000, 100
 REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
+# messages of Python, numpy and zipfile as regular expressions, and what they mean for a file
+_PARSER_MESSAGES = {
+    r"could not convert string to (?:float|complex): (.+)": r"\1 is not a number",
+    r"invalid literal for int\(\) with base \d+: b?(.+)": r"\1 is not a whole number",
+    r"File is not a zip file": "its content is not an archive of numpy.savez",
+}
 _BOM = b"\xef\xbb\xbf"
 
 # Degrees of freedom, keyed by number: 1 to 6 as in all programs, others as in Abaqus or kc2spice.
@@ -134,9 +141,16 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
         message = "the format of this file is not supported"
         hint = "in MATLAB: save(..., '-v7')"
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        reason = _reword(" ".join(str(error).split()))[:160] or type(error).__name__
         message, hint = f"this file cannot be read: {reason}", advice
     raise UsageError(message, where=str(path), expected=expected, hint=hint)
+
+
+def _reword(reason: str) -> str:
+    """Replace messages of Python's parsers by statements about the file."""
+    for pattern, text in _PARSER_MESSAGES.items():
+        reason = re.sub(pattern, text, reason)
+    return reason
 
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:

@@ -15,6 +15,17 @@ _OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
+def _require_numbers(words: list[str], text: str) -> None:
+    """Raise an error with the line of the first word that is not a number."""
+    for word in words:
+        try:
+            float(word)
+        except ValueError:
+            lines = enumerate(text.lower().splitlines(), start=1)
+            number = next((at for at, line in lines if word in line.split()), 0)
+            raise ValueError(f"line {number} contains {word!r}, which is not a number") from None
+
+
 def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): The parameters are S, Y or Z in the form
     RI, MA or DB.
@@ -57,6 +68,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
     symmetric = shape != ["full"]  # one triangle, row by row
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
+    _require_numbers(words, text)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 are at the end

@@ -494,9 +494,16 @@ class RingMagnetCoils(TouchablePart[Coils]):
             if error > MAX_SPLINE_ERROR:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
                 yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")
-        advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
-        advice += "or kick it less"
         table, travel = build.model(part, EMTable), float(np.ptp(y))
+        remedy = f"lower {part.name}.y_min to {_format_end(y.min())}"
+        if y.max() - table.y[-1] >= table.y[0] - y.min():
+            remedy = f"raise {part.name}.y_max to {_format_end(y.max())}"
+        from kc2spice.fem.magnet_field import air_section
+
+        _, floor, _, ceiling = air_section(part.keys)
+        if y.max() > ceiling or y.min() < floor:
+            remedy = "kick or throw the sphere with less energy"
+        advice = f"the sphere left the field table: {remedy}"
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
         check = Check("table_left", distance_outside(table, y), 0.0, "m", advice, action)
         yield replace(check, distance=distance, travel=travel)
@@ -602,6 +609,11 @@ def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
 def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
     """Whether the netlist of the part has terminals of both coils."""
     return has_real_coils(part, scene) or bool(scene.of("current_cases"))
+
+
+def _format_end(height: float) -> str:
+    """Return an end of a force table [mm] that is beyond a height [m] of the sphere."""
+    return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
 def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
