@@ -383,6 +383,7 @@ def test_modes_have_the_specified_damping(coarse, damping, wanted):
     np.testing.assert_allclose(found[order], wanted(frequency), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_damping_of_each_material(coarse):
     lossy = {"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3, "quality": 50}
     table = {"layer0": lossy, "layer1": {**lossy, "quality": 50}}

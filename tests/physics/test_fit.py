@@ -62,6 +62,7 @@ def found_and_off(name, noise):
     return found, max(abs(rows[key]["value"] - true[key]) / rows[key]["sigma"] for key in keys)
 
 
+@pytest.mark.slow
 def test_a_fit_finds_the_values_that_made_the_data():
     found, off = found_and_off("disc", 0.01)
     assert off < 3

@@ -171,6 +171,7 @@ def chains(count, length):
     return sparse.eye_array(count * length, format="csc"), K.tocsc(), B
 
 
+@pytest.mark.slow
 def test_more_rigid_body_modes_than_one_block_of_vectors(real_factors):
     """Each chain has one; its response is a sum over its modes, known in closed form."""
     count, length, beta = 9, 150, 0.1
@@ -202,6 +203,7 @@ def test_a_soft_support_is_not_taken_for_a_rigid_body_mode():
         assert find_free_body(model.pencil, omega) is None
 
 
+@pytest.mark.slow
 def test_a_free_body_can_have_any_prescribed_order():
     """Its error against a direct solution is within the estimate."""
     M, K, B = chains(1, 1500)

@@ -14,6 +14,7 @@ from bench.usual.system import quarter
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
 
+@pytest.mark.slow
 def test_surrogate_is_checked_against_direct_solutions():
     full = make_stack(Chip(layers=3, mesh={**SMALL, "order": 2})).model
     model, error = make_surrogate(full, (0.0, 500e3))

@@ -253,7 +253,7 @@ def disc(count, kind, order=2):
     ("body_errors", "kind", "order", "displacement", "frequency"),
     [
         (rod, "hexahedra", 1, 2, 2),
-        (rod, "hexahedra", 2, 3, 4),
+        pytest.param(rod, "hexahedra", 2, 3, 4, marks=pytest.mark.slow),
         (rod, "prisms", 2, 3, 4),
         pytest.param(rod, "pyramids", 2, 3, 4, marks=pytest.mark.slow),
         (disc, "quadrilaterals", 2, 3, 4),

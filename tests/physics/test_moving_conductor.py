@@ -159,12 +159,12 @@ def test_small_signals_beyond_the_heights_of_the_table_fail(kind):
 
 
 def test_finer_rings_detect_rings_that_are_too_coarse():
-    rough = {}
+    ring_errors = {}
     for count in (20, 200):
         scene = load_scene(over(Winding(5e-3, 2e-3, 2e-3, -2e-3, 50.0), radius=10e-3, rings=count))
         part = scene.parts["disc"]
-        rough[count] = part.type.build(part, scene, Clock(ignore_progress)).rough
-    assert rough[20] > MAX_RING_ERROR > rough[200]
+        ring_errors[count] = part.type.build(part, scene, Clock(ignore_progress)).ring_error
+    assert ring_errors[20] > MAX_RING_ERROR > ring_errors[200]
 
 
 def test_a_coil_of_many_layers_has_its_inductance():

@@ -74,6 +74,7 @@ def test_coils_at_a_voltage_warm_as_scipy_integrates(pins, coefficient):
     assert all(check.passed for check in balances)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pins", [pytest.param(SERIES, marks=pytest.mark.slow), REAL])
 def test_verify_integrates_the_coupled_equations(pins):
     drive = {"part": "source", "sine": {"amplitude": "150 V", "frequency": "200 Hz"}}
@@ -107,6 +108,7 @@ def test_a_coefficient_without_a_pin_of_heat_is_refused():
         kc.load_scene(scene)
 
 
+@pytest.mark.slow
 def test_a_warm_catch_between_rails_throws_the_sphere_higher():
     """The temperature follows the recorded currents; a warm housing takes current."""
     warm = kc.run("coil_self_heating")
@@ -132,6 +134,7 @@ def test_a_warm_catch_between_rails_throws_the_sphere_higher():
     assert abs(cold.metrics["final_error_m"]) < 1e-6
 
 
+@pytest.mark.slow
 def test_ideal_currents_in_the_loop_of_the_paper_only_need_more_voltage():
     """An ideal current source keeps the loop; the copper takes up nearly all heat."""
     cold = kc.load_scene("kick_and_catch")

@@ -130,6 +130,7 @@ def test_a_mesh_at_its_limit_ends_the_refinement_with_its_reason(monkeypatch):
     assert "at most 1 000 unknowns" in done.check.advice
 
 
+@pytest.mark.slow
 def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     """The curve at a resonance is off by far more than the resonance; what the last refinement
     changed in it covers that."""

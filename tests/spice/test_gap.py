@@ -215,6 +215,7 @@ def test_a_bent_plate_stretches_in_both_directions(along, rows):
     assert evaluate_tree(declared.stored_energy, known) == pytest.approx(exact, rel=65 / rows**4)
 
 
+@pytest.mark.slow
 def test_a_quarter_bends_as_a_quarter_of_a_plate():
     """A square plate of side a held all round sinks by 0.00126 q a^4 / D in its middle (S.
     Timoshenko, S. Woinowsky-Krieger, Theory of Plates and Shells, 1959, table 35); 1 % is the

@@ -40,7 +40,14 @@ def run(scene, directory):
     return deck, values, kc.run(scene)
 
 
-@pytest.mark.parametrize("name", ["kick_and_catch", "harvester_bridge", "buzzer_square"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("kick_and_catch", marks=pytest.mark.slow),
+        pytest.param("harvester_bridge", marks=pytest.mark.slow),
+        "buzzer_square",
+    ],
+)
 def test_metrics_of_a_transient_are_those_that_ngspice_prints(name, tmp_path):
     deck, values, result = run(kc.load_scene(name), tmp_path)
     for measure in deck.measures:

@@ -100,6 +100,7 @@ def bent(bias=1.0, **parts):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error:the operating point")
 def test_a_free_tip_of_a_clamped_body_has_an_operating_point():
     """``|u| = 3 d31 V L^2 / h^2`` with both layers of thickness h/2 at V: J. G. Smits et al., Sens.
