@@ -270,7 +270,7 @@ def test_losses_of_coupled_states_have_no_pin_of_heat(tmp_path):
         M=np.eye(2), E=E, K=np.diag([1e4, 4e4]), B=np.array([[1.0], [0.5]]), ports=(port,)
     )
     assert "damping" in kc.subcircuit(model, "part").text
-    with pytest.raises(UsageError, match="no heat pin"):
+    with pytest.raises(UsageError, match="cannot have a heat pin"):
         kc.subcircuit(model, "part", heat=True)
 
 
