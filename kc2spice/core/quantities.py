@@ -148,6 +148,8 @@ def _explain_invalid(
             hint = f"write a table {table} with its keys"
             if not isinstance(details["input"], (Mapping, list)) and len(full_path) > 1:
                 hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
+                if isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
+                    hint = f'write  {full_path[-1]} = {{ {key} = "{details["input"]}" }}'
             return "not a table", f"a table, {table}", hint
         case "tuple_type" | "list_type":
             entered = details["input"]
@@ -236,6 +238,15 @@ def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
     """Return the key at ``path``, whose numbers of list entries are ignored."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
+
+
+def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """Return the only required key of the table at ``path``, None unless it is a text."""
+    fields = _find_schema(schema, (*path, "")).model_fields
+    required = [name for name, field in fields.items() if field.is_required()]
+    if len(required) == 1 and fields[required[0]].annotation is str:
+        return required[0]
+    return None
 
 
 def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:

@@ -27,6 +27,7 @@ MAX_BRACKET_LINES = 40
 MAX_LINE_LENGTH = 500  # characters of a line that the repairs search
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
+_OTHER_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key and a wrong sign
 # double and single typographic quotes, each replaced by a double quote
 _PLAIN_QUOTES = str.maketrans(
     dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
@@ -280,11 +281,33 @@ def _repair_typographic_quotes(lines: Sequence[str], number: int) -> Iterator[_R
         yield _Repair(problem, number, plain, _suggest_line(plain))
 
 
+def _repair_assignment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of ``==``, ``:=`` or a colon between key and value."""
+    line = lines[number - 1]
+    if match := _OTHER_ASSIGNMENT.match(line):
+        repaired = f"{match[1]} = {line[match.end() :]}"
+        problem = f"'{match[2]}' stands between key and value in place of '='"
+        yield _Repair(problem, number, repaired, _suggest_line(repaired))
+
+
+def _repair_comment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+    """Yield the repair of a comment that begins with ``//``, ``;`` or ``--``."""
+    line = lines[number - 1]
+    masked = _mask_strings(line)
+    for mark in ("//", ";", "--"):
+        if (at := masked.find(mark)) >= 0:
+            repaired = f"{line[:at]}#{line[at + len(mark) :]}"
+            problem = f"a comment begins with #, not with {mark}"
+            yield _Repair(problem, number, repaired, _suggest_line(repaired))
+
+
 _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
     _repair_typographic_quotes,
+    _repair_assignment,
     _repair_round_brackets,
     _repair_separator,
+    _repair_comment,
     _repair_quotes,
     _repair_unmatched_quote,
     _repair_brackets,

@@ -144,7 +144,9 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
             where=str(path),
             got=" and ".join(map(attrgetter("written"), analyses)) or "none",
             expected=original.command.card,
-            hint=f"write this line into the deck: {original.command.card}",
+            hint=f"write this line into the deck: {original.command.card}"
+            if cards
+            else "edit a copy of the deck that kc2spice export writes",
         )
     return analyses[0]
 

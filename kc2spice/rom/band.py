@@ -48,6 +48,14 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
         rates = np.empty(0)
     rates = np.sort(rates[rates > 0])[:BAND_MODES] ** (1 / pencil.degree)
     if not rates.size:
+        if pencil.degree == 2 and (pencil.coefficients[2].diagonal() < 0).any():
+            raise UsageError(
+                "a mass is negative",
+                where="matrix M",
+                got="a negative number on the diagonal",
+                expected="a mass matrix without negative eigenvalues",
+                hint="change the sign of M",
+            )
         raise UsageError(
             "the frequency band is missing, and the model has no natural frequency to derive it "
             "from",

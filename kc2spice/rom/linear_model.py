@@ -19,6 +19,7 @@ import scipy
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
+from kc2spice.core.quantities import clip_text
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry, to_dense
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.state_space import ABCD, state_space
@@ -248,13 +249,15 @@ class LinearModel:
         for letter, shape in shapes.items():
             matrix = getattr(self, letter)
             if matrix is not None and (matrix.shape != shape or 0 in shape):
+                hint = _suggest_size(letter, matrix.shape, shape)
+                shape = matrix.shape[::-1] if hint.startswith("transpose") else shape
                 raise UsageError(
                     f"matrix {letter} has a wrong size",
                     where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
                     expected=" x ".join(map(str, shape))
                     + (", at least one row and column" if 0 in shape else ""),
-                    hint=_suggest_size(letter, matrix.shape, shape),
+                    hint=hint,
                 )
         put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
         _require_heat(self)
@@ -332,7 +335,7 @@ class LinearModel:
             else:
                 K = (1 + 1j * self.loss_factor) * K
             pencil = replace(pencil, coefficients=(K, E, M), rayleigh=None)
-        return pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
+        return pencil.transfer(2j * np.pi * _require_frequencies(frequency))
 
     def reconstruct(self, states: np.ndarray) -> np.ndarray:
         """Return unknowns of the full-order model for states of this reduced one.
@@ -672,6 +675,20 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
             hint="for a damping ratio z at f [Hz], write rayleigh=(0, z / (pi * f))",
         ) from None
     return alpha, beta
+
+
+def _require_frequencies(frequency: Any) -> np.ndarray:
+    """Return frequencies [Hz] as an array of one dimension."""
+    try:
+        return np.atleast_1d(np.asarray(frequency, dtype=float))
+    except (TypeError, ValueError):
+        raise UsageError(
+            "the frequencies are not numbers",
+            where="frequency",
+            got=clip_text(repr(frequency)),
+            expected="a number in Hz, or an array of numbers",
+            hint="for example 1e3 for 1 kHz",
+        ) from None
 
 
 def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> str:

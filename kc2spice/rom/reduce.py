@@ -388,7 +388,7 @@ def require_valid(target: Target) -> None:
             where="order",
             got=order,
             expected="a whole number from 1 on",
-            hint="for example 10",
+            hint=f"for example {max(1, int(order))}",
         )
     if target.norm not in get_args(Norm):
         raise unknown("this norm does not exist", target.norm, get_args(Norm), "norm")

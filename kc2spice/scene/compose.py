@@ -119,6 +119,15 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
     if target in (GROUND, "0"):
         return _GROUND_NAMES
     name, dot, pin = target.partition(".")
+    if where == f"{name}.pins.{pin}":
+        others = [".".join(item) for item in scene.terminals if item[0] != name]
+        raise UsageError(
+            "this pin is joined to itself",
+            where=where,
+            got=repr(target),
+            expected=f"gnd, or a pin of another part: {list_candidates(target, others)}",
+            hint=f'for example  {pin} = "{others[0] if others else GROUND}"',
+        )
     if (name, pin) in scene.terminals:
         return (name, pin)
     pins = [f"{name}.{terminal.name}" for terminal in scene.pins(name)]

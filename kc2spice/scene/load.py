@@ -367,12 +367,15 @@ def _make_part(
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
+        first = next(iter(pins), "") if isinstance(pins, (list, tuple)) else pins
+        listing = f"kc2spice scenes --part {kind.name} lists PIN"
+        target = first if isinstance(first, str) and "." in first else "PART.PIN"
         raise UsageError(
             "pins is not a table",
             where=f"{name}.pins",
             got=clip_text(repr(pins)),
             expected="a table that connects each pin to another pin or to gnd",
-            hint='write  pins = { PIN = "PART.PIN" }',
+            hint=f'write  pins = {{ PIN = "{target}" }}; {listing}',
         )
     keys = _complete_tables(table, kind.schema)
     for key in _GRAMMAR_KEYS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
@@ -83,11 +84,17 @@ def format_toml(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
+# key and value with a colon or a blank between them in place of an equals sign
+_OTHER_SEPARATOR = re.compile(r"([A-Za-z_][\w.\[\]]*)\s*[:\s]\s*([^=:\s][^=]*)")
+
+
 def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]:
     """Return key and value of ``dotted.key=value``."""
     name, _, value = map(str.strip, text.partition("="))
     if not name or not value:
         advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
+        if separated := _OTHER_SEPARATOR.fullmatch(clip_text(text.strip())):
+            advice = shlex.quote("=".join(separated.groups()))
         raise UsageError(
             "the value of the key is missing" if name else "the key is missing",
             where="--set",

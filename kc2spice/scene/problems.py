@@ -25,8 +25,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     if not scene.parts:
         yield UsageError(
             "the scene has no parts",
-            where="name",
-            got=scene.name,
+            where="",
             expected="at least one table with part = TYPE",
             hint="copy one of the scenes that kc2spice scenes lists",
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -45,7 +45,12 @@ class SceneFile:
         return tuple(key.split(".")) in self.overrides
 
     def where(self, key: str) -> str:
-        """Return the override or line of a key such as ``disc.layers.0.diameter``."""
+        """Return the override or line of a key such as ``disc.layers.0.diameter``.
+
+        An empty key is the whole scene.
+        """
+        if not key:
+            return self.label
         names = tuple(key.split("."))
         for path, override in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
@@ -97,7 +102,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     return SceneFile(name, path.stem, text, folder)
 
 
-def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
+def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> UsageError:
     """Return the error of a file that does not exist, or of an unknown built-in scene."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
@@ -113,6 +118,8 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
     with contextlib.suppress(OSError):
         stems = map(attrgetter("stem"), path.parent.glob("*.toml"))
         listing = did_you_mean(path.stem, stems) or listing
+        if path.stem in scenes and len(path.parts) == 1:
+            listing = f"write {path.stem} for the built-in scene"
     message = "this path is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
 

@@ -145,6 +145,9 @@ def rows(text):
         ("bench impact --error 1%", "this value is not a number", "1%", "write --error 0.01"),
         ("run kick_and_catch --set disc.layers=3", "this scene has no part 'disc'", "",
          "write kick.layers"),
+        ("run impact.toml", "this file does not exist", "", "write impact for the built-in scene"),
+        ("run impact --set sphere.radius:1mm", "the value of the key is missing",
+         "'sphere.radius:1mm'", "write sphere.radius=1mm"),
     ],
 )  # fmt: skip
 def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
@@ -188,6 +191,9 @@ def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
          'frequency = "1 Hz"'),
         ('type = "op"', 'type = "ac"\nstart = "20 kHz"\nstop = "10 kHz"', 11, "range is empty",
          'stop = "200 kHz"'),
+        ('a = "battery.out"', 'a = "load.a"', 7, "joined to itself", 'a = "battery.out"'),
+        ('pins = { a = "battery.out" }', 'pins = ["battery.out"]', 7, "not a table",
+         'PIN = "battery.out"'),
     ],
 )  # fmt: skip
 def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
@@ -209,6 +215,10 @@ def test_a_mistake_in_a_scene(cli, line, otherwise, place, head, advice):
         ('dc = "10 V"', "pwl = ([0, 0], [1, 1])", 3, "a list is between [ and ]",
          "pwl = [[0, 0], [1, 1]]"),
         ('dc = "10 V"', "dc = \u201c10 V\u201d", 3, "typographic quotes", 'dc = "10 V"'),
+        ('dc = "10 V"', 'dc == "10 V"', 3, "'==' stands between key and value", 'dc = "10 V"'),
+        ('dc = "10 V"', 'dc: "10 V"', 3, "':' stands between key and value", 'dc = "10 V"'),
+        ('dc = "10 V"', 'dc = "10 V" // full', 3, "a comment begins with #", 'dc = "10 V" # full'),
+        ('dc = "10 V"', 'dc = "10 V" ; full', 3, "a comment begins with #", 'dc = "10 V" # full'),
     ],
 )  # fmt: skip
 def test_a_mistake_in_the_syntax_of_a_scene(cli, line, otherwise, place, head, advice):
@@ -302,15 +312,20 @@ def test_a_port_beside_matrices(cli, table, head, advice):
          "from the same mesh"),
         (lambda: kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)), C=np.ones((2, 1))),
          "C has a wrong size", "transpose C"),
+        (lambda: kc.LinearModel(M=np.eye(3), K=np.eye(3), B=np.ones((1, 3))), "B has a wrong size",
+         "transpose B"),
+        (lambda: model().transfer("1 kHz"), "the frequencies are not numbers", "1e3"),
+        (lambda: kc.reduce(kc.LinearModel(M=-np.eye(2), K=np.eye(2), B=np.ones((2, 1))), order=1),
+         "a mass is negative", "change the sign of M"),
         (lambda: kc.sweep("impact", {}), "no key has more than one value", "a list of values"),
         (lambda: kc.sweep("impact", ["a"]), "values: this object is not a mapping", "a mapping"),
         (lambda: kc.run("impact", overrides=["sphere.radius"]), "overrides: the value of the key",
          "sphere.radius=1 mm"),
         (lambda: kc.export("impact", "out", dialect="spice"), "dialect: this dialect", "ngspice"),
-        (lambda: kc.reduce(model(), order=1.5), "not a number of states", "for example 10"),
+        (lambda: kc.reduce(model(), order=1.5), "not a number of states", "for example 1"),
         (lambda: kc.subcircuit(model(), "1 bad name"), "not a valid name", "n_1_bad_name"),
         (lambda: kc.load_scene({**LAMP, "probes": {"x": "lamp.i"}}), "not a table",
-         "x = { KEY = VALUE }"),
+         'x = { of = "lamp.i" }'),
         (lambda: kc.load_scene({**LAMP, "analysis": "op"}), "not a table", "[analysis]"),
         (lambda: kc.load_scene({**LAMP, "drive": {"part": "source", "dc": [3]}}), "not a number",
          "dc = 1.0"),
@@ -520,3 +535,21 @@ def test_a_failed_check_begins_with_its_cause():
     found = rows(str(caught.value))
     assert found["head"] == "kick_and_catch: the sphere left the field table (check: table left)"
     assert found["next"] == "raise catch.y_max to 9 mm"
+
+
+def test_an_empty_scene_and_a_deck_without_cards(cli):
+    Path("own.toml").write_text("")
+    found = rows(cli("run", "own.toml").stderr)
+    assert found["head"] == "kc2spice: error: own.toml: the scene has no parts"
+    Path("own.cir").write_text("hello\n")
+    found = rows(cli("run", "impact", "--deck", "own.cir").stderr)
+    assert found["next"] == "edit a copy of the deck that kc2spice export writes"
+
+
+def test_a_body_without_electrodes_and_ports(cli):
+    Path("own.toml").write_text(
+        '[b]\npart = "body"\nmesh = "b.msh"\nmaterials = { all = "steel" }\n'
+    )
+    found = rows(cli("run", "own.toml").stderr)
+    assert "a body needs electrodes or ports" in found["head"]
+    assert "ports = [{" in found["next"]

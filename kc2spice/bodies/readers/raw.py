@@ -200,7 +200,9 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
         raise make_unusable_error(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
     require_size(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
-        raise make_unusable_error(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
+        raise make_unusable_error(
+            path, f"matrix {letter} contains NaN or infinity", "finite numbers"
+        )
     if letter in NARROW_MATRICES:
         plain = matrix.toarray() if sparse.issparse(matrix) else matrix
         return np.asarray(plain, dtype=float)

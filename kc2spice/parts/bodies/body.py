@@ -39,7 +39,7 @@ from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, 
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Section, validate
+from kc2spice.core.quantities import Section, invalid_value_error, validate
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
@@ -333,7 +333,11 @@ class BodyKeys(MeshKeys):
                 "the reference electrode is missing: a body needs at least two electrodes"
             )
         if not self.electrodes and not self.ports:
-            raise ValueError("a body needs electrodes or ports")
+            raise invalid_value_error(
+                "a body needs electrodes or ports",
+                'electrodes = { NAME = "SURFACE OF THE MESH" }, or a list of ports',
+                hint='add for example  ports = [{ name = "tip", at = "SURFACE", axis = "z" }]',
+            )
         names = Counter([*names_of(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
