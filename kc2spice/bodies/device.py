@@ -126,7 +126,7 @@ class Setup:
     damping: Damping = field(default_factory=Damping)
 
     @property
-    def driven(self) -> dict[str, np.ndarray]:
+    def driven_electrodes(self) -> dict[str, np.ndarray]:
         """Nodes of each electrode with an independent voltage, by its pin."""
         return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
 
@@ -206,13 +206,13 @@ def _estimate_depoling_voltage(solid: Solid, setup: Setup) -> float | None:
     depoling field. A lower voltage may depolarise the ceramic at the edge of an electrode.
     """
     limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
-    if not setup.driven or not limits or None in limits:
+    if not setup.driven_electrodes or not limits or None in limits:
         return None
     places = solid.places.T
     from scipy.spatial import cKDTree  # imported here, because few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
-    distances, _ = near.query(places[np.concatenate([*setup.driven.values()])])
+    distances, _ = near.query(places[np.concatenate([*setup.driven_electrodes.values()])])
     return float(np.array(limits, dtype=float).min() * distances.min())
 
 
@@ -361,11 +361,11 @@ def _constrain_potentials(
     identity = sparse.eye_array(len(live), format="csc")
     Q = sparse.hstack([identity[:, free], *map(indicate_nodes, setup.floating)], "csc")
     none = sparse.csc_array((len(live), 0))
-    columns = [*map(indicate_nodes, setup.driven.values())]
+    columns = [*map(indicate_nodes, setup.driven_electrodes.values())]
     if setup.graded is not None:
         columns[0] = columns[0] + indicate_nodes(*setup.graded)
     R = sparse.hstack([none, *columns], "csc")
-    ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in setup.driven]
+    ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in setup.driven_electrodes]
     return Q, R, ports
 
 

@@ -28,7 +28,7 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
     program ends immediately, with the same exit code 128 + signal. Handlers that the caller has
     set remain.
 
-    A KeyboardInterrupt that leaves the block ends the program with that exit code too. After the
+    A KeyboardInterrupt that leaves the block also ends the program with this exit code. After the
     block, signals are ignored and cannot change the exit code. Otherwise the interpreter would
     restore its handlers at the end, and a late signal could kill a program that has written all
     results.

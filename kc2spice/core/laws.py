@@ -372,13 +372,13 @@ class Device(ABC):
         """Return the stored quantities without their derivatives."""
         return self.store(e, mode)[0]
 
-    def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def small_signal_derivatives(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Compute derivatives for small signals ``exp(s t)`` around ``e``.
 
-        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m).
-
-        The derivatives of the store are (len(states), m). The derivatives are complex if they
-        depend on the frequency.
+        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m). The
+        derivatives are complex if they depend on the frequency.
         """
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
@@ -569,7 +569,9 @@ class PortBody(Device):
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
 
-    def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def small_signal_derivatives(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of ``out`` and of the charges at ``s``."""
         load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.static_relation.H

@@ -129,7 +129,7 @@ def list_pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
 def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
     """Return whether the law of a pin ``LAW.PIN`` sets its across quantity.
 
-    A voltage source does, for example.
+    For example, a voltage source sets the voltage of the pin.
     """
     name, _, end = pin.partition(".")
     law = laws[name]

@@ -89,10 +89,11 @@ class Enrichment:
 class EnrichedOperators:
     """Matrices between selected functions, and between these functions and all nodes.
 
-    ``K`` belongs to displacements of functions, ``C`` to these and potentials of functions, ``P``
-    to potentials; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have displacements
-    of functions as rows and the unknowns of all nodes as columns, ``D_nodes`` and ``P_nodes`` the
-    potentials of functions as rows and displacements and potentials of nodes as columns.
+    ``K`` belongs to displacements of functions, ``C`` to displacements and potentials of functions,
+    ``P`` to potentials of functions; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes``
+    have displacements of functions as rows and the unknowns of all nodes as columns, ``D_nodes``
+    and ``P_nodes`` the potentials of functions as rows and displacements and potentials of nodes as
+    columns.
     """
 
     K: sparse.csr_array

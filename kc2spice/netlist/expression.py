@@ -103,7 +103,7 @@ def parse_expression(text: str, *, where: str = "expression") -> Tree:
     ------
     UsageError : the text is not an expression.
     """
-    return _Parser(text.strip().strip("'\""), where).whole_text()
+    return _Parser(text.strip().strip("'\""), where).parse_complete_text()
 
 
 def literal_value(text: str, *, where: str = "expression") -> float | None:
@@ -254,7 +254,7 @@ class _Parser:
     def __init__(self, text: str, where: str) -> None:
         self.text, self.where, self.at = text, where, 0
 
-    def whole_text(self) -> Tree:
+    def parse_complete_text(self) -> Tree:
         """Parse the complete text."""
         tree = self.parse_choice()
         if self.text[self.at :].strip():

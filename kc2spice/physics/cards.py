@@ -570,7 +570,7 @@ def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Write the stored quantity in units of its derivative at rest, and its rate."""
-    scale = declaration.at_rest(differentiate_tree(stored, b.name))
+    scale = declaration.set_to_rest(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
     moved = _change_by_motion(declaration, stored) if scale == ZERO else scale
     unit = moved if moved != ZERO else Number("1e-12")
@@ -588,7 +588,7 @@ def _write_stored_quantity(
 def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
     """Change of a stored quantity at rest by 1 um of the first displacement that changes it."""
     for b in declaration.displacements:
-        slope = declaration.at_rest(differentiate_tree(stored, b.name))
+        slope = declaration.set_to_rest(differentiate_tree(stored, b.name))
         if slope != ZERO:
             return multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), slope)
     return ZERO

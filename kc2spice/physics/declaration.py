@@ -788,9 +788,9 @@ class Declaration:
         name = branch.across if branch.flows else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
-    def at_rest(self, tree: Tree, but: str = "") -> Tree:
-        """Return ``tree`` with all coordinates, rates and states set to zero, except ``but``."""
-        still = self.variables - {but}
+    def set_to_rest(self, tree: Tree, variable: str = "") -> Tree:
+        """Return ``tree`` with all coordinates, rates and states but ``variable`` set to zero."""
+        still = self.variables - {variable}
         try:
             return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
         except UsageError as error:

@@ -139,8 +139,8 @@ class DeclaredPart(PartType[KeysT]):
             elif b.domain.path:
                 # all other variables are set to rest first, because a short sum has a short
                 # derivative
-                slope = differentiate_tree(d.at_rest(d.direct_flow(b), b.name), b.name)
-                if evaluate_tree(d.at_rest(slope), values):
+                slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
+                if evaluate_tree(d.set_to_rest(slope), values):
                     stiff.append((b.plus, b.minus))
         paths = (*stiff, *flowing)
         return Rest(_merge_inner_paths(paths, d.inner) if d.inner else paths)
@@ -229,7 +229,7 @@ class DeclaredPart(PartType[KeysT]):
             self.resolved_built_declaration(part, build),
             self._recorded_variables(part, build, point),
         )
-        small = build.scene.analysis.small
+        small = build.scene.analysis.is_small_signal
         if small:
             yield from _check_limits(d, part, known, " at its operating point")
         for what, tree in d.stop_trees.items():

@@ -65,7 +65,7 @@ class LinearisedSystem:
         slopes, charges = [np.zeros((0, self.F.shape[1]))], [np.zeros((0, self.F.shape[1]))]
         devices = zip(system.devices, interval.inputs(0.0, self.z0), self.device_modes, strict=True)
         for device, e, mode in devices:
-            slope, charge_slope = device.law.small(at, e, mode)
+            slope, charge_slope = device.law.small_signal_derivatives(at, e, mode)
             rated = np.zeros_like(slope)
             rated[list(device.law.charged)] = charge_slope[len(device.law.states) :]
             slopes.append(slope @ device.inputs)

@@ -59,7 +59,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
 
 
 def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
-    """Return a reduced-order model whose certificate covers the full-order model too."""
+    """Return a reduced-order model whose certificate also covers the full-order model."""
     certificate = rom.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)

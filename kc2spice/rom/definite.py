@@ -38,8 +38,8 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     """Return whether the energy of the softest mode is within the rounding errors of K.
 
-    The motion is ``y = K^-1 load`` of a random load. Because of such errors, the factor of a free
-    body may exist.
+    The motion is ``y = K^-1 load`` of a random load. Rounding errors can make the stiffness of a
+    free body positive definite.
     """
     size = absolute_entries(K)
     rounding = ENERGY_ROUNDING * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))

@@ -29,17 +29,16 @@ from kc2spice.core.naming import names_of
 from kc2spice.rom.entries import reference_share
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.given_flows import FlowReference, drive_unknowns
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import no_congruence_error, reduce_with_interfaces
 from kc2spice.rom.interface_split import (
     DENSE,
     ROUNDING,
-    GivenTemperatures,
+    PrescribedTemperatures,
     keeps_all_heat,
     modal_coordinates,
     select_live_ports,
-    split_given,
+    split_prescribed,
 )
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.matrix_terms import MatrixTerms, find_terms
@@ -49,6 +48,7 @@ from kc2spice.rom.parametric import (
     Values,
     list_exponents,
 )
+from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
 from kc2spice.rom.ranges import RangeTask, certify_over_ranges, record_facts
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
@@ -107,8 +107,8 @@ class HeatReduction:
             result, samples = self._reduce(task, flows=False)
         apart = max(item.flow_error(result) for item in samples)
         warnings.warn(
-            f"{result.name}: the error estimate covers temperatures; heat flows into pins of given "
-            f"temperature have errors of up to {apart:.1g} over the ranges and the band",
+            f"{result.name}: the error estimate covers temperatures; heat flows into pins of "
+            f"prescribed temperature have errors of up to {apart:.1g} over the ranges and the band",
             stacklevel=3,
         )
         return result
@@ -172,12 +172,12 @@ class _Ranges:
         terms: MatrixTerms,
         frame: LinearModel,
         task: RangeTask,
-        given: Sequence[str],
+        prescribed: Sequence[str],
         flows: bool,
     ) -> None:
-        self.terms, self.frame, self.task, self.given = terms, frame, task, given
+        self.terms, self.frame, self.task, self.prescribed = terms, frame, task, prescribed
         self.flows = flows
-        self.isolated = [bool(given) and keeps_all_heat(K) for K in terms.K]
+        self.isolated = [bool(prescribed) and keeps_all_heat(K) for K in terms.K]
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Values of the parameters at coordinates (axes,)."""
@@ -192,11 +192,11 @@ class _Ranges:
 
     def reference(self, model: LinearModel, values: Values) -> _Reference:
         """Return the reference of a reduced model at these values."""
-        parts, task = split_given(model, self.given), self.task
+        parts, task = split_prescribed(model, self.prescribed), self.task
         inner, flows = select_live_ports(parts.inner), None
-        if self.given:
+        if self.prescribed:
             flows = FlowReference.of(model, parts, task.band, task.norm, task.tolerance)
-        if self.flows:  # these directions include the responses to given temperatures
+        if self.flows:  # these directions include the responses to prescribed temperatures
             sources = names_of(parts.inner.ports[: len(parts.shares)])
             live = [name for name in names_of(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
@@ -214,7 +214,7 @@ class _Reference:
 
     ranges: _Ranges
     values: Values
-    parts: GivenTemperatures
+    parts: PrescribedTemperatures
     flows: FlowReference | None
     live: Sequence[str]
     estimator: ErrorEstimator
@@ -222,7 +222,7 @@ class _Reference:
 
     def error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
         """Largest relative error of a reduced model, over frequency and in the steady state."""
-        ours = split_given(reduced.at(self.values), self.ranges.given)
+        ours = split_prescribed(reduced.at(self.values), self.ranges.prescribed)
         response = Response(ours.inner.select(self.live).pencil.dense())
         still = self._static_error(ours)
         if self.ranges.flows:
@@ -235,10 +235,10 @@ class _Reference:
         """Largest relative error of heat flows into ports of prescribed temperature."""
         assert self.flows is not None
         model = reduced.at(self.values)
-        return self.flows.error(model, split_given(model, self.ranges.given))
+        return self.flows.error(model, split_prescribed(model, self.ranges.prescribed))
 
-    def _static_error(self, ours: GivenTemperatures) -> float:
-        """Largest relative error of the static responses to given temperatures."""
+    def _static_error(self, ours: PrescribedTemperatures) -> float:
+        """Largest relative error of the static responses to prescribed temperatures."""
         share = reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
@@ -267,7 +267,7 @@ class _Basis:
     def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:
         self.ranges = ranges
         middle = ranges.model(ranges.values(np.zeros(len(ranges.terms.axes))))
-        self.middle = split_given(middle, ranges.given)
+        self.middle = split_prescribed(middle, ranges.prescribed)
         self.psi = self.middle.psi
         if any(ranges.isolated):
             missing = 1.0 - self.psi.sum(axis=1, keepdims=True)
@@ -287,10 +287,10 @@ class _Basis:
         self.count += 1
         model = ranges.model(values)
         aims: dict[str, Any] = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
-        parts = split_given(model, ranges.given)
+        parts = split_prescribed(model, ranges.prescribed)
         small = reduce_with_interfaces(
             model,
-            ranges.given,
+            ranges.prescribed,
             parts,
             flows=ranges.flows,
             measured=False,

@@ -1,17 +1,17 @@
-"""Reduction of heat models whose ports have given temperatures.
+"""Reduction of heat models whose ports have prescribed temperatures.
 
-The unknowns of a model ``E T' + K T = B q`` are divided into temperatures ``T_i`` of ports that are
-given, such as those of isothermal faces, and all others ``T_e``. With the static answers ``Psi`` to
-the given temperatures,
+The unknowns of a model ``E T' + K T = B q`` are divided into the prescribed temperatures ``T_i`` of
+ports, such as isothermal faces, and all other temperatures ``T_e``. With the static responses
+``Psi`` to the prescribed temperatures,
 
     T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
 A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``, from
-which the heat flows follow accurately (:mod:`kc2spice.rom.given_flows`). This basis and ``Psi``
-together are a basis of the whole model. E and K stay symmetric and positive semi-definite, so the
-model is passive. The static responses to given temperatures are exact. (R. R. Craig, M. C. C.
-Bampton, AIAA Journal 6 (1968) 1313, for structures.)
+which the heat flows follow accurately (:mod:`kc2spice.rom.prescribed_flows`). This basis and
+``Psi`` together are a basis of the whole model. E and K stay symmetric and positive semi-definite,
+so the model is passive. The static responses to prescribed temperatures are exact. (R. R. Craig,
+M. C. C. Bampton, AIAA Journal 6 (1968) 1313, for structures.)
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from scipy import sparse
 
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.rom.error_estimate import make_inaccuracy_error
-from kc2spice.rom.given_flows import FlowReference, drive_unknowns
 from kc2spice.rom.interface_split import (
     DENSE,
-    GivenTemperatures,
+    PrescribedTemperatures,
     modal_coordinates,
     select_live_ports,
-    split_given,
+    split_prescribed,
     symmetric_part,
 )
 from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
 from kc2spice.rom.reduce import reduce_model
 
 ATTEMPTS = 6  # tolerances of the unknowns that are tried for the tolerance of heat flows
@@ -44,20 +44,20 @@ REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference if the order is prescri
 
 def reduce_with_interfaces(
     model: LinearModel,
-    given: Sequence[str],
-    parts: GivenTemperatures | None = None,
+    prescribed: Sequence[str],
+    parts: PrescribedTemperatures | None = None,
     *,
     flows: bool = True,
     measured: bool = True,
     **aims: Any,
 ) -> LinearModel:
-    """Reduce a heat model whose ports ``given`` have given temperatures.
+    """Reduce a heat model whose ports ``prescribed`` have prescribed temperatures.
 
     Parameters
     ----------
-    model : heat model with E and K; the column of B of each port that is given contains one 1.
-    given : names of these ports.
-    parts : the result of :func:`split_given` if it is known.
+    model : heat model with E and K; the column of B of each such port contains one 1.
+    prescribed : names of the ports.
+    parts : the result of :func:`split_prescribed` if it is known.
     flows : whether the basis also represents the heat flows into these ports.
     measured : whether these heat flows are compared with the tolerance, and included in the error.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
@@ -67,16 +67,16 @@ def reduce_with_interfaces(
     -------
     LinearModel
         Model with the ports of ``model`` in their order. The error of its certificate is that of
-        temperatures and, if ``measured``, of heat flows into the ports of given temperature.
+        temperatures and, if ``measured``, of heat flows into the ports of prescribed temperature.
 
     Raises
     ------
     UsageError : no congruence reduces the inner model.
     SimulationError : the tolerance is not met.
     """
-    if not given:
+    if not prescribed:
         return _reduce_definite(model, aims)
-    parts, tolerance = parts or split_given(model, given), aims["tolerance"]
+    parts, tolerance = parts or split_prescribed(model, prescribed), aims["tolerance"]
     if not flows:
         return _reduce_parts(model, parts, _reduce_definite(select_live_ports(parts.inner), aims))
     if not measured:
@@ -89,7 +89,7 @@ def reduce_with_interfaces(
         result = _reduce_parts(model, parts, small)
         certificate = result.certificate
         assert certificate is not None  # every reduction has one
-        error = reference.error(result, split_given(result, given))
+        error = reference.error(result, split_prescribed(result, prescribed))
         worst = max(error, certificate.error_estimate)
         if aims["order"] is not None or worst <= tolerance:
             return replace(result, certificate=replace(certificate, error_estimate=worst))
@@ -97,7 +97,7 @@ def reduce_with_interfaces(
         if inner_tolerance < SMALLEST_TOLERANCE:
             break
     raise make_inaccuracy_error(
-        "the heat flows into ports of given temperature are not that accurate",
+        "the heat flows into ports of prescribed temperature are not that accurate",
         f"an error of {error:.1e}",
         tolerance,
         "a narrower rom.band or a looser rom.tolerance may help",
@@ -105,7 +105,7 @@ def reduce_with_interfaces(
 
 
 def _reduce_driven(
-    model: LinearModel, parts: GivenTemperatures, aims: Mapping[str, Any]
+    model: LinearModel, parts: PrescribedTemperatures, aims: Mapping[str, Any]
 ) -> LinearModel:
     """Reduce the model of ``T_e``; the input ``E_ei`` is omitted if rounding errors require it."""
     try:
@@ -114,7 +114,9 @@ def _reduce_driven(
         return _reduce_definite(drive_unknowns(model, parts, stored=False), aims)
 
 
-def _reduce_parts(model: LinearModel, parts: GivenTemperatures, small: LinearModel) -> LinearModel:
+def _reduce_parts(
+    model: LinearModel, parts: PrescribedTemperatures, small: LinearModel
+) -> LinearModel:
     """Reduce a divided model by the basis of the reduced model ``small`` of ``T_e``."""
     if small.basis is None:
         raise no_congruence_error(model)

@@ -1,4 +1,4 @@
-"""Heat models, divided into ports with given temperatures and all other unknowns.
+"""Heat models, divided into ports with prescribed temperatures and all other unknowns.
 
 :mod:`kc2spice.rom.interface_modes` states the equations. The division is exact.
 """
@@ -27,16 +27,16 @@ def keeps_all_heat(K: sparse.csc_array) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class GivenTemperatures:
-    """A heat model, divided into ports with given temperatures and all other unknowns.
+class PrescribedTemperatures:
+    """A heat model, divided into ports with prescribed temperatures and all other unknowns.
 
     Attributes
     ----------
-    at, others : unknowns whose temperatures are given, and all other unknowns.
-    psi : (others, at) static responses to the given temperatures.
-    shares : (sources, at) static temperatures of the ports q for given temperatures.
-    conductance : (at, at) [W/K] static heat flows into the ports of given temperature.
-    stored : (at, at) [J/K] heat that the static responses to given temperatures store.
+    at, others : unknowns whose temperatures are prescribed, and all other unknowns.
+    psi : (others, at) static responses to the prescribed temperatures.
+    shares : (sources, at) static temperatures of the ports q for prescribed temperatures.
+    conductance : (at, at) [W/K] static heat flows into the ports of prescribed temperature.
+    stored : (at, at) [J/K] heat that the static responses to prescribed temperatures store.
     inner : model of x in these equations, with the ports q and then T_i'.
     """
 
@@ -49,11 +49,11 @@ class GivenTemperatures:
     inner: LinearModel
 
 
-def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
-    """Divide a heat model into the ports ``given`` and all other unknowns."""
+def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
+    """Divide a heat model into the ports ``prescribed`` and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     names = names_of(model.ports)
-    of_ports = [names.index(name) for name in given]
+    of_ports = [names.index(name) for name in prescribed]
     at = model.B[:, of_ports].argmax(axis=0)
     others = np.setdiff1d(np.arange(model.order), at)
     sources = np.setdiff1d(np.arange(len(names)), of_ports)
@@ -63,7 +63,7 @@ def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
         psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
     coupling = E[others][:, at].toarray() + E_ee @ psi
     ports = [model.ports[k] for k in sources]
-    ports += [Port(f"{name}_rate", THERMAL.port) for name in given]
+    ports += [Port(f"{name}_rate", THERMAL.port) for name in prescribed]
     B = np.hstack([model.B[np.ix_(others, sources)], coupling])
     inner = LinearModel(E=E_ee, K=K_ee, B=B, ports=tuple(ports))
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
@@ -72,7 +72,9 @@ def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
         # a uniform temperature causes no heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
-    return GivenTemperatures(at, others, psi, shares, conductance, symmetric_part(stored), inner)
+    return PrescribedTemperatures(
+        at, others, psi, shares, conductance, symmetric_part(stored), inner
+    )
 
 
 def select_live_ports(model: LinearModel) -> LinearModel:

@@ -446,7 +446,7 @@ class Pencil:
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
-    def joined(self, free: Pencil) -> Pencil:
+    def prepend_rigid_body_modes(self, free: Pencil) -> Pencil:
         """Return this pencil with the uncoupled ``free`` motion as its first unknowns."""
         parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])

@@ -180,7 +180,9 @@ class Task:
         """Return a projection of :attr:`core` with the rigid-body modes in front."""
         if self.core is self.response.pencil:
             return pencil
-        return pencil.joined(self.response.pencil.leading_model(self.response.pencil.free))
+        return pencil.prepend_rigid_body_modes(
+            self.response.pencil.leading_model(self.response.pencil.free)
+        )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
         """Extend vectors V of :attr:`core` to the intermediate model.
@@ -212,7 +214,7 @@ class Task:
         """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
         if free := self.response.pencil.free:
             rigid = to_schur_form(self.response.pencil.leading_model(free), self.band[1])
-            pencil = pencil.joined(rigid)
+            pencil = pencil.prepend_rigid_body_modes(rigid)
         return to_hertz(pencil, self.band[1])
 
 

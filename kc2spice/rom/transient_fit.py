@@ -71,7 +71,7 @@ class StepSamples(EqualByContent):
         first = np.flatnonzero(np.diff(number, prepend=-2))
         return first, 1 / np.sqrt(np.add.reduceat(self.weight**2, first))
 
-    def group(self, table: np.ndarray) -> np.ndarray:
+    def average_groups(self, table: np.ndarray) -> np.ndarray:
         """Return weighted means (groups, columns) of a table (n, columns) over groups of samples.
 
         The sum of the squared means is smaller than the sum of the weighted squares of all samples.
@@ -151,7 +151,7 @@ def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.nd
     if samples.offset:
         one = np.ones((len(samples.time), 1))
         columns = np.hstack([columns, one, -one])
-    table = samples.group(np.column_stack([columns, samples.value]))
+    table = samples.average_groups(np.column_stack([columns, samples.value]))
     size = np.linalg.norm(table[:, :-1], axis=0)
     solution, _ = nnls(table[:, :-1] / size, table[:, -1], maxiter=NNLS_STEPS * columns.shape[1])
     solution = solution / size
@@ -213,7 +213,9 @@ def _refine(
     def residual(x: np.ndarray) -> np.ndarray:
         """Return the weighted residuals of the fit."""
         R, t, start = split(x)
-        return samples.group((start + step_basis(time, t) @ R - samples.value)[:, None])[:, 0]
+        return samples.average_groups((start + step_basis(time, t) @ R - samples.value)[:, None])[
+            :, 0
+        ]
 
     def slopes(x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals."""
@@ -222,7 +224,7 @@ def _refine(
         # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)
         table = [-R * np.expm1(-ratio), -R * ratio * np.exp(-ratio)]
         table += [np.ones((len(time), 1))] if samples.offset else []
-        return samples.group(np.hstack(table))
+        return samples.average_groups(np.hstack(table))
 
     total = float(np.log(resistance.sum()))
     low = np.r_[np.full(count, total - SPREAD), np.full(count, np.log(limits[0]))]

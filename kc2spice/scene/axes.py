@@ -102,7 +102,7 @@ def _list_axes(build: Build) -> Iterator[Axis]:
         if step is not None:
             axis = _make_axis(MAX_STEP_KEY, step, Solver.model_fields["max_step"])
             yield replace(axis, low=min(step, scene.stop / MAX_TIME_POINTS))
-    elif scene.analysis.small and "analysis" in scene.tables:
+    elif scene.analysis.is_small_signal and "analysis" in scene.tables:
         (axis,) = _list_marked(scene.analysis, "analysis")
         yield replace(axis, decades=_count_decades(scene.analysis))
     yield from _list_reductions(build)
@@ -245,7 +245,7 @@ def describe_plan(build: Build) -> dict[str, Any]:
     for axis in find_axes(build):
         error = _estimate_mesh_error(axis, build)
         # The steps of a transient excite a body above the band of the tolerance.
-        if scene.analysis.small and axis.name.endswith("rom.tolerance"):
+        if scene.analysis.is_small_signal and axis.name.endswith("rom.tolerance"):
             error = axis.value
         settings.append({"key": axis.name, "value": axis.value, "error": error})
     return {

@@ -20,7 +20,7 @@ def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
     """
     if scene.resolved_frequency is not None:
         return scene.resolved_frequency
-    if scene.analysis.small:
+    if scene.analysis.is_small_signal:
         return float(scene.analysis.stop or 0.0)
     if scene.analysis.type != "transient":
         return 0.0

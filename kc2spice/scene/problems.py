@@ -119,7 +119,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
 def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
     """Yield errors of the frequency range of ``ac`` and ``noise``."""
     selected = scene.analysis
-    if not selected.small:
+    if not selected.is_small_signal:
         return
     start, stop = selected.start, selected.stop or 0.0
     if selected.stop is None:

@@ -383,7 +383,7 @@ class Analysis(Section):
             raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
     @property
-    def small(self) -> bool:
+    def is_small_signal(self) -> bool:
         """Whether the analysis is linear about an operating point, over frequency."""
         return self.type in SMALL_SIGNALS
 

@@ -89,7 +89,7 @@ def _position_errors(
             expected=path,
             hint='add a support, or use analysis.type = "transient"',
         )
-    elif by and scene.analysis.small:
+    elif by and scene.analysis.is_small_signal:
         yield UsageError(
             f"{part_name} has no support against a constant force, so it has no operating point "
             f"for the linear analysis",

@@ -70,8 +70,8 @@ class HeatModes:
 def estimate_leak_share(model: LinearModel) -> float:
     """Return the relative error of temperatures due to the leak of a body that loses no heat.
 
-    With one port at a given temperature, the leak ``C LEAK_RATE`` takes this share of the heat that
-    flows between two ports with the thermal resistance R: ``R C LEAK_RATE``.
+    With one port at a prescribed temperature, the leak ``C LEAK_RATE`` takes this share of the heat
+    that flows between two ports with the thermal resistance R: ``R C LEAK_RATE``.
     """
     K, E = model.pencil.dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))

@@ -172,7 +172,7 @@ def _list_items(
         if cards:
             yield from add_title(f"{part.name}: {part.type.title}", cards, part.name)
     yield from noise_items
-    if not scene.analysis.small:
+    if not scene.analysis.is_small_signal:
         return
     names, inductors = NameAllocator(scene.parts), []
     for group in loose:

@@ -37,7 +37,7 @@ def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> Operating
     a warning replaces it.
     """
     scene = build.scene
-    if not scene.analysis.small or deck.text is not None or laws.linear:
+    if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:
         return OperatingPoint()
     # The probes remain, because they determine the pins of a body; this run has no noise result.
     probes = {} if build.has_noise else scene.probes

@@ -221,7 +221,7 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
     Metrics without a unit have no such lower limit. A curve over other points is interpolated to
     the points of ``run``. The change is infinite if ``run`` has no comparable metric.
     """
-    share = SMALL_SIGNAL_SHARE if run.small else NEAR_ZERO_SHARE
+    share = SMALL_SIGNAL_SHARE if run.is_small_signal else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
     least: dict[str, float] = {}
     for name, item in finer.values.items():

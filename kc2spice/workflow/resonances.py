@@ -54,7 +54,7 @@ def list_refinements(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
     """
     build = laws.build
     analysis = build.scene.analysis
-    if not analysis.small or analysis.stop is None:
+    if not analysis.is_small_signal or analysis.stop is None:
         return ()
     resonances = [(f, width) for f, width in _narrow_resonances(laws) if width > 0.0]
     step = 2 * NARROWEST_HALF_WIDTHS / (RANGE_POINTS - 1)

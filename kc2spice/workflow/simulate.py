@@ -66,9 +66,9 @@ class Run(Outcome):
         return result
 
     @property
-    def small(self) -> bool:
+    def is_small_signal(self) -> bool:
         """Whether the metrics belong to a response to small signals."""
-        return self.build.scene.analysis.small
+        return self.build.scene.analysis.is_small_signal
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -221,7 +221,7 @@ def choose_engine(
     point may depend on the previous analysis. If functions set sources of the scene while it runs,
     ngspice runs as a library.
     """
-    if not laws.build.scene.analysis.small:
+    if not laws.build.scene.analysis.is_small_signal:
         return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
     # imported here, because the module loads scipy
     from kc2spice.workflow.resonances import list_refinements

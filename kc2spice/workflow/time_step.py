@@ -121,7 +121,7 @@ class LinearisedScene:
         return not self.missing
 
     @cached_property
-    def _joined(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
+    def _joined_networks(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
         """Networks with unknowns, and names of the parts in no network."""
         try:
             laws = scene_laws(self.build)
@@ -133,12 +133,12 @@ class LinearisedScene:
     @property
     def networks(self) -> tuple[Network, ...]:
         """Networks that contain more than sources."""
-        return self._joined[0]
+        return self._joined_networks[0]
 
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the parts that are in no network."""
-        return self._joined[1]
+        return self._joined_networks[1]
 
     @cached_property
     def motions(self) -> tuple[ExponentialSolution | None, ...]:

@@ -175,7 +175,7 @@ def test_errors_of_a_response_are_relative_to_each_value():
     coarse, fine = runs(
         {"low": 2e-9, "peak": 1e-6, "still": 3e-19}, {"low": 1e-9, "peak": 1e-6, "still": 0}, units
     )
-    found = refine.metric_changes(replace(coarse, small=True), fine)
+    found = refine.metric_changes(replace(coarse, is_small_signal=True), fine)
     assert found["low"] == pytest.approx(1.0)
     assert found["still"] < 1e-6
 

@@ -21,5 +21,5 @@ class Band(NamedTuple):
 def acoustic_band(scene: GovernedScene) -> Band:
     """Return the band of the ac analysis, or four decades up to the highest source frequency."""
     high = highest_frequency(scene) or AUDIO_END
-    start = scene.analysis.start if scene.analysis.small else 0.0
+    start = scene.analysis.start if scene.analysis.is_small_signal else 0.0
     return Band(max(start, high / DECADES), high)

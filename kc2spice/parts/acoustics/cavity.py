@@ -128,7 +128,7 @@ stop = "2 kHz"
             got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
             yield part.wrong("surface", message, got, expected)
         limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
-        if scene.analysis.small and acoustic_band(scene).high > limit:
+        if scene.analysis.is_small_signal and acoustic_band(scene).high > limit:
             warnings.warn(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
                 f"{format_quantity(float(f'{keys.longest:.4g}'), 'm')} is longer than a tenth of a "

@@ -177,7 +177,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         keys, fluid = part.keys, part.keys.fluid
         high = acoustic_band(scene).high
         limit = WIDEST_DUCT * fluid.sound_speed / (2 * math.pi * keys.inner_radius)
-        if scene.analysis.small and high > limit:
+        if scene.analysis.is_small_signal and high > limit:
             warnings.warn(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} further modes "
                 "propagate in a duct of this radius, which have no model: lower analysis.stop",
@@ -424,14 +424,14 @@ stop = "3 kHz"
             yield part.wrong("closed", message, f"closed = true and pins.{FAR_END}", "one of both")
         if keys.closed and keys.end_b != "none":
             yield part.wrong("end_b", "a closed end has no fluid outside", keys.end_b, "none")
-        if keys.sections is None and self._wanted_sections(part, scene) > MOST_SECTIONS:
+        if keys.sections is None and self._required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(
-                f"{part.name}: the band needs {self._wanted_sections(part, scene)} sections, the "
+                f"{part.name}: the band needs {self._required_sections(part, scene)} sections, the "
                 f"tube has {MOST_SECTIONS}: its upper frequencies are less accurate",
                 stacklevel=2,
             )
 
-    def _wanted_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+    def _required_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
         """Return the number of sections for the band of a scene."""
         waves = part.keys.length * acoustic_band(scene).high / part.keys.fluid.sound_speed
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
@@ -439,7 +439,7 @@ stop = "3 kHz"
     def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
         """Return the stated number of sections, or a number for the band."""
         stated = part.with_schema(TubeKeys).keys.sections
-        return stated or min(self._wanted_sections(part, scene), MOST_SECTIONS)
+        return stated or min(self._required_sections(part, scene), MOST_SECTIONS)
 
 
 register(Vent())

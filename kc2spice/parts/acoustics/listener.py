@@ -187,7 +187,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         """Warn about a listener in the near field, and about an angle without effect."""
         keys, top = part.keys, highest_frequency(scene)
         limit = min(map(self._largest_frequency, [part] * len(sources), sources))
-        if scene.analysis.small and top > limit:
+        if scene.analysis.is_small_signal and top > limit:
             warnings.warn(
                 f"{part.name}: the far field at {format_quantity(keys.distance, 'm')} ends at "
                 f"{format_quantity(limit, 'Hz')}, the analysis at {format_quantity(top, 'Hz')}: "

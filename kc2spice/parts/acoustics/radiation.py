@@ -137,7 +137,7 @@ stop = "20 kHz"
     def problems(self, part: Part[RadiationKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
         yield from super().problems(part, scene)
-        if not scene.analysis.small:
+        if not scene.analysis.is_small_signal:
             return
         highest, limit = highest_frequency(scene), part.keys.largest_frequency
         if highest > limit:

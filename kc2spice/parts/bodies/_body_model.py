@@ -116,12 +116,12 @@ class BodyModel(BodyPorts[LinearKeysT]):
         resonances.
         """
         specified, result = part.keys.rom, self._stated_reduction(part, scene)
-        if result is None and scene.analysis.small:
+        if result is None and scene.analysis.is_small_signal:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
             content = max((row.content for row in scene.numerics), default=0.0)
-            result = Rom(tolerance=1e-4, band=(0.0, max(content, self.least_content(scene))))
+            result = Rom(tolerance=1e-4, band=(0.0, max(content, self.default_band_end(scene))))
         if specified is None or result is specified:
             return result
         return result.model_copy(update={"parameters": specified.parameters})
@@ -134,9 +134,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
         content = (row.content for row in scene.numerics if math.isfinite(row.step))
-        return max([self.least_content(scene), *content])
+        return max([self.default_band_end(scene), *content])
 
-    def least_content(self, scene: Scene) -> float:
+    def default_band_end(self, scene: Scene) -> float:
         """Least upper end of the band of a transient [Hz] for any excitation."""
         return MIN_BAND_END
 

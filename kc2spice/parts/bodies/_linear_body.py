@@ -199,7 +199,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 f"free ringing of {part.name}", why, "all of its own current and motion"
             )
 
-    def given_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
+    def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
         """Ports with prescribed temperatures instead of heat flows; none by default.
 
         The certificate of the model holds for the responses to these temperatures.

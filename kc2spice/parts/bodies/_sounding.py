@@ -106,7 +106,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
 
         end = float(self.reduction(part, scene).band[1])
         # a transient excites the first resonance most, and its band does not limit the sound
-        count = MAX_MODES if scene.analysis.small else 1
+        count = MAX_MODES if scene.analysis.is_small_signal else 1
         faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
         joined = tuple(item.name for item in faces)
         load = collect_load(scene, part.name, [item.terminals[0] for item in faces])

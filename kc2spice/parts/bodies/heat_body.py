@@ -305,7 +305,7 @@ dc = "1 W"
         """Return the paths of heat, which do not depend on the built model."""
         return build.scene.records[part.name].rest
 
-    def least_content(self, scene: Scene) -> float:
+    def default_band_end(self, scene: Scene) -> float:
         """Return :data:`RUN_POINTS` divided by the duration of the run; heat has no resonance."""
         return RUN_POINTS / scene.stop
 
@@ -323,7 +323,7 @@ dc = "1 W"
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
         """Return the data that determine the reduced model, as a key of the cache."""
-        chosen = self._stated_reduction(part, scene) is None and not scene.analysis.small
+        chosen = self._stated_reduction(part, scene) is None and not scene.analysis.is_small_signal
         return {**super().model_key(part, scene), "limited": chosen}
 
     def dimensions(self, part: Part[HeatBodyKeys]) -> int:
@@ -360,12 +360,12 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the model with given temperatures of isothermal faces and behind films.
+        """Reduce the model with prescribed temperatures of isothermal faces and behind films.
 
         A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
         tolerance there. The error is then relative to the largest temperature of each pin.
         """
-        prescribed_ports = self.given_ports(part, model)
+        prescribed_ports = self.prescribed_ports(part, model)
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
@@ -374,15 +374,15 @@ dc = "1 W"
 
         return _reduce_warm_or_cold(part, aims["norm"], reduce)
 
-    def given_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
+    def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
         """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
         known = _prescribed_names(part)
         return [*filter(known.__contains__, names_of(model.ports))]
 
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
-        """Reduce the models over ranges of films and other keys, with the same given temperatures.
+        """Reduce the models over ranges of films and other keys.
 
-        The norm follows from rounding as in :meth:`reduce_body`.
+        The prescribed temperatures and the norm are those of :meth:`reduce_body`.
         """
         from kc2spice.rom.heat_ranges import HeatReduction
 

@@ -135,7 +135,7 @@ class Netlist(PartType[NetlistKeys]):
         for name, node in _probe_names(part, scene):
             scope = scope or _read_subcircuit(part, scene)
             if node in pins or has_vector(scope, _inner_vector(node)):
-                if scene.analysis.small and "@" in _inner_vector(node):
+                if scene.analysis.is_small_signal and "@" in _inner_vector(node):
                     yield UsageError(
                         "this element has no small-signal current",
                         where=f"probes.{name}.of",

@@ -63,7 +63,7 @@ def verify_body(
     rom = build.model(part, LinearModel)
     band = choose_verified_band(rom, build)
     errors, curves = {}, {}
-    names = part.type.given_ports(part, rom) if isinstance(part.type, LinearBody) else ()
+    names = part.type.prescribed_ports(part, rom) if isinstance(part.type, LinearBody) else ()
     given = [*map(rom.inputs.index, names)]
     at = _list_error_frequencies(rom, band)
     full = full_model(part, build.scene, clock)
@@ -169,7 +169,7 @@ def compare_responses(
         T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c,
 
     the first term relative to its entries, and the second one relative to T_c. The heat flow of
-    given temperatures, ``H_cc^-1``, is relative to its entries plus ``stored`` (frequencies,)
+    prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored`` (frequencies,)
     [W/K], the heat flow that changes the temperature of the whole body. The certificate states the
     error of the inner temperatures relative to that heat flow.
     """
@@ -344,7 +344,7 @@ def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     if rom.certificate is not None:
         return rom.certificate.band_hz
     selected = build.scene.analysis
-    return (0.0, float(selected.stop or 0.0)) if selected.small else build.scene.rom.band
+    return (0.0, float(selected.stop or 0.0)) if selected.is_small_signal else build.scene.rom.band
 
 
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:

@@ -101,7 +101,7 @@ def solve_full_models(
     networks = select_networks_to_solve(scene_laws(full), ours, replayed)
     if build.scene.analysis.type != "transient":
         words = "at its ports"
-        if build.scene.analysis.small:
+        if build.scene.analysis.is_small_signal:
             stop = float(build.scene.analysis.stop or 0.0)
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size

@@ -1,4 +1,4 @@
-"""Heat flows into ports of given temperature, and their error in a reduced model.
+"""Heat flows into ports of prescribed temperature, and their error in a reduced model.
 
 With the division of :mod:`kc2spice.rom.interface_modes`, the heat flows into the ports ``T_i`` and
 the temperatures of the ports ``q`` are
@@ -29,7 +29,7 @@ from scipy.sparse.linalg import splu
 from kc2spice.core.domains import THERMAL
 from kc2spice.rom.entries import Entries, reference_share
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.interface_split import DENSE, ROUNDING, GivenTemperatures
+from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
 FREQUENCIES = 40  # number of frequencies at which heat flows, which are smooth, are compared
@@ -38,7 +38,7 @@ REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, in to
 
 
 def drive_unknowns(
-    model: LinearModel, parts: GivenTemperatures, *, stored: bool = True
+    model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
 ) -> LinearModel:
     """Return the model of ``T_e`` with the ports ``B_e`` and ``-K_ei``.
 
@@ -58,7 +58,7 @@ def drive_unknowns(
 
 @dataclass(frozen=True, eq=False)
 class FlowReference:
-    """Heat flows and temperatures of a full model at given temperatures and heat flows.
+    """Heat flows and temperatures of a full model at prescribed temperatures and heat flows.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class FlowReference:
     def of(
         cls,
         model: LinearModel,
-        parts: GivenTemperatures,
+        parts: PrescribedTemperatures,
         band: tuple[float, float],
         norm: Norm,
         tolerance: float,
@@ -97,7 +97,7 @@ class FlowReference:
         rounding[n:, n:] = 0.0
         return cls(frequency, response, uncertainty, rounding, reference_share(norm))
 
-    def error(self, model: LinearModel, parts: GivenTemperatures) -> float:
+    def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
         """Largest relative error of a reduced ``model``, divided into ``parts``."""
         ours = _respond(model, parts, self.frequency)
         base = Entries.of(self.response).base(self.response, self.share)
@@ -107,8 +107,8 @@ class FlowReference:
 
 
 def _project(
-    model: LinearModel, parts: GivenTemperatures, band: tuple[float, float], tolerance: float
-) -> tuple[LinearModel, GivenTemperatures, float]:
+    model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
+) -> tuple[LinearModel, PrescribedTemperatures, float]:
     """Project a large model onto its responses in the band, within a share of the tolerance."""
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
@@ -127,7 +127,9 @@ def _project(
     return small, divided, space.error
 
 
-def _respond(model: LinearModel, parts: GivenTemperatures, frequency: np.ndarray) -> np.ndarray:
+def _respond(
+    model: LinearModel, parts: PrescribedTemperatures, frequency: np.ndarray
+) -> np.ndarray:
     """Return heat flows and temperatures (n, ports, ports) of a divided model.
 
     The response has two equivalent forms. At each frequency, the form with the smaller terms is
