@@ -143,7 +143,7 @@ class Metrics:
     values: dict[str, np.ndarray]
     units: dict[str, str]
     waves: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scale=np.arange(2.0)))
-    small: bool = False
+    is_small_signal: bool = False
 
 
 def runs(coarse: dict[str, float], fine: dict[str, float], units: dict[str, str]):
