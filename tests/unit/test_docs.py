@@ -3,6 +3,7 @@
 import ast
 import re
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -117,3 +118,22 @@ def test_functions_in_tables_of_modules_exist():
             source = (ROOT / module).read_text(encoding="utf-8")
             for name in re.findall(r"`(\w+)`", words):
                 assert re.search(rf"\b(def|class) {name}\b", source), f"{page}: {module} {name}"
+
+
+def imported_names(script):
+    """Module and name of each import from kc2spice in a script."""
+    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("kc2spice"):
+            for name in node.names:
+                yield node.module, name.name
+
+
+@pytest.mark.parametrize("folder", ["docs", "bench", "tools"])
+def test_scripts_import_names_that_the_package_contains(folder):
+    missing = [
+        f"{script.relative_to(ROOT)}: {module}.{name}"
+        for script in (ROOT / folder).rglob("*.py")
+        for module, name in imported_names(script)
+        if not hasattr(import_module(module), name) and not _module(f"{module}.{name}")
+    ]
+    assert not missing

@@ -11,7 +11,7 @@ import kc2spice as kc
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, declare_contact
+from kc2spice.physics.contact import ContactForce, declare_contact
 from kc2spice.physics.part import declared_subcircuit
 
 MASS, STIFFNESS, GRAVITY = SphereKeys().mass, 4e8, 9.81  # kg, N/m, m/s2
@@ -21,7 +21,7 @@ HEADER = Header("bounces", "0")
 SPHERE = declared_subcircuit(
     HEADER, "sphere", rigid_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
 )
-LAW = declare_contact(("ring0",), (0.0,), Normal(STIFFNESS))
+LAW = declare_contact(("ring0",), (0.0,), ContactForce(STIFFNESS))
 CONTACT = declared_subcircuit(HEADER, "contact", LAW, {})
 LAWS = {
     "max(0, depth)": f"Bcontact 0 v I={1e-6 * STIFFNESS}*max(0, -V(bottom))",
