@@ -123,8 +123,9 @@ ASSUMPTIONS = (
 )
 KICKS = """\
 The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
-sphere of 2 mm and edges of 0.1 µs. Its launch velocity of 1.02 m/s requires a driver current of
-35 A. A driver that charges the capacitance of the chip more slowly does not reach this velocity."""
+sphere of 2 mm and edges of 0.1 µs. In that scene, the launch velocity of 1.02 m/s
+requires a driver current of 35 A. A driver that charges the capacitance of the chip more slowly
+does not reach this velocity."""
 SOURCES = """\
 The last column names the text with which the published numbers were compared. Files `vmNNN.dat` are
 in `src/ansys/mapdl/core/examples/verif` of <https://github.com/ansys/pymapdl>. The catalogue of
