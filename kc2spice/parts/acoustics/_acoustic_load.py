@@ -2,8 +2,8 @@
 
 :func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. The
 nodal equations ``Y p = U`` of their elements, with admittances ``1 / (j omega M)``, ``1 / R`` and
-``j omega C``, give the pressures of unit volume velocities. The far field of each part of type
-``radiation`` follows from the pressure on it and the volume velocity through it.
+``j omega C``, give the pressures that unit volume velocities cause. The pressure on a part of type
+``radiation``, and the volume velocity through this part, determine its far field.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kc2spice.parts.acoustics.radiation import FACE, FarField, RadiationKeys, fi
 from kc2spice.scene.model import Part, Scene
 
 GROUND = "0"  # node of the netlist
-MAX_DENSE_NODES = 60  # number of nodes above which the equations are sparse
+MAX_DENSE_NODES = 60  # number of nodes above which a sparse solver is used
 # Exponent of j omega in the admittance of an element; a resistance has none.
 ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
 
@@ -41,7 +41,7 @@ class LoadBranch:
 class SoundSource:
     """Radiating surface at a node, and the branches through which its volume velocity flows.
 
-    ``branches`` contains numbers of branches and signs.
+    ``branches`` contains pairs of a branch number and a sign.
     """
 
     node: str
@@ -51,9 +51,10 @@ class SoundSource:
 
 @dataclass(frozen=True)
 class AcousticLoad:
-    """Acoustic elements behind faces, whose nets are ``faces``.
+    """Acoustic elements behind faces of a body; ``faces`` are the nets of these faces.
 
-    ``complete`` is False if a part of another type, such as a loudspeaker, is joined too.
+    ``complete`` is False if a part that is not an :class:`AcousticPart` is also joined, such as a
+    loudspeaker.
     """
 
     faces: tuple[str, ...]
@@ -62,7 +63,7 @@ class AcousticLoad:
     complete: bool
 
     def record(self) -> dict[str, Any]:
-        """Return the data that determine the load, as plain values."""
+        """Return the data that determine the load, as part of a key of the cache."""
         branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
@@ -70,8 +71,9 @@ class AcousticLoad:
     def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return impedances [Pa s/m3] and sound pressures [Pa s/m3] per unit volume velocity.
 
-        The impedances (frequencies, faces, faces) are the pressures at the faces, and the sound
-        pressures (frequencies, faces) those at the reference distance, at which all sources are.
+        The impedances (frequencies, faces, faces) are the pressures at the faces. The sound
+        pressures (frequencies, faces) are the pressures at a listener at the reference distance
+        from all sources.
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}
@@ -104,7 +106,7 @@ class AcousticLoad:
 
 
 def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Solve ``A diag(y) A' p = push`` for each row y of the admittances."""
+    """Solve ``A diag(y) A' p = push`` for each row y of admittances; A is the incidence matrix."""
     if A.shape[0] <= MAX_DENSE_NODES:
         dense = A.toarray()
         return np.asarray(np.linalg.solve((dense * admittances[:, None]) @ dense.T, push[None]))
@@ -116,7 +118,7 @@ def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray)
 
 
 def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
-    """Collect the acoustic parts behind pins of a body."""
+    """Collect the acoustic parts that are joined to pins of a body, directly or behind others."""
     faces = tuple(scene.net(body, pin) for pin in pins)
     nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
     waiting = set(nets)
@@ -145,7 +147,7 @@ def _pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
 def _add_part(
     part: Part, scene: Scene, branches: list[LoadBranch], sources: list[SoundSource]
 ) -> None:
-    """Append the branches of a part, and its radiating surface."""
+    """Append the branches of a part to ``branches``, and its radiating surface to ``sources``."""
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)

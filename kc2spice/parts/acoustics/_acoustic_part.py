@@ -43,7 +43,7 @@ FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant
 
 MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
 LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
-# Circuit value of an element relative to its value in SI: 1 V is 1 Pa and 1 A is 1e-6 m3/s.
+# Ratio of the circuit value of an element to its SI value: 1 V is 1 Pa and 1 A is 1e-6 m3/s.
 SCALES = {
     MASS: 1 / ACOUSTIC.admittance,
     RESISTANCE: 1 / ACOUSTIC.admittance,
@@ -57,8 +57,8 @@ METER = "Vflow"  # meter of the volume velocity into the first pin
 class AcousticElement:
     """Element of a network between two nodes, with its value in SI as an expression.
 
-    A compliance with a ``leak`` has a small conductance in parallel, which defines the operating
-    point of a floating net.
+    With ``leak``, a small conductance in parallel to a compliance defines the operating point of a
+    floating net.
     """
 
     kind: str
@@ -70,7 +70,7 @@ class AcousticElement:
 
     @property
     def card_name(self) -> str:
-        """Name of its card."""
+        """Name of the card of the element."""
         return f"{LETTERS[self.kind]}{self.name}"
 
     @cached_property
@@ -83,10 +83,10 @@ class AcousticElement:
 class AcousticNetwork:
     """Acoustic elements of a part.
 
-    ``params`` are the parameters of its subcircuit, and ``constants`` expressions of the parameters
+    ``params`` are the parameters of the subcircuit. ``constants`` are expressions of the parameters
     and of earlier constants. ``entry`` is the node behind the meter of the first pin, and ``exits``
-    the nodes behind the meters of further pins. ``validity`` describes the range of the network and
-    its error, for the header.
+    are the nodes behind the meters of further pins. ``validity`` describes the range of the network
+    and its error, for the header.
     """
 
     params: tuple[Param, ...]
@@ -123,11 +123,11 @@ class AcousticPart(PartType[FluidKeysT]):
         """Return the network of a part."""
 
     def ends(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
-        """Return all pins of pressure except the ambient pressure; the first pin has a meter."""
+        """Return all pressure pins except ``ambient``; the first pin has a meter."""
         return ("a",)
 
     def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of pins between which a constant volume velocity can flow."""
+        """Return pairs of pins between which a constant volume velocity can flow."""
         return ()
 
     def fluid_volume(self, part: Part[FluidKeysT]) -> float:
@@ -223,9 +223,9 @@ class AcousticPart(PartType[FluidKeysT]):
     def flows_into(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
-        """Return the volume velocities from a node into its elements.
+        """Return the volume velocities from a node into the elements at this node.
 
-        Each one is the sign and the name of the wave that contains it.
+        Each volume velocity is a sign and the name of the wave that contains it.
         """
         result = []
         for item in network.elements:

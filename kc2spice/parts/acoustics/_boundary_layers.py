@@ -30,22 +30,23 @@ LOWEST_CORNERS = {
     "heat": 2.404825557695773**2,
     "layer": math.pi**2 / 4,
 }
-# values at q = 0 and negative slopes there, sums of 4 / j^4 and 4 / j^6 over zeros j of J0
+# Values and negative slopes of the functions at q = 0; for ``flow``, they are the sums of 4 / j^4
+# and of 4 / j^6 over the zeros j of J0.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
-LAYER_START = 1e6  # |z| above which I1 and I0 are equal to 1e-6
-SERIES_END = 1e-4  # |q| below which two terms of the power series are exact to 1e-9
+LAYER_START = 1e6  # |z| above which I1(z) and I0(z) differ by less than 1e-6
+SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
 SAMPLES_PER_DECADE = 12
-BELOW, ABOVE = 6.0, 6.0  # range of corners beyond both ends of the band, as ratios
+BELOW, ABOVE = 6.0, 6.0  # ratios by which the corners extend below and above the band
 STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
 
 
 @dataclass(frozen=True)
 class Relaxations:
-    """Sum of relaxations ``w / (p + q)``, with its errors over the band.
+    """Sum of relaxations ``w / (p + q)`` of a frequency q, with its errors over a frequency band.
 
-    ``loss_error`` is the largest relative error of the dissipation, and ``value_error`` the largest
-    relative error of the magnitude.
+    ``loss_error`` is the largest relative error of the dissipation, and ``value_error`` is the
+    largest relative error of the magnitude.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -65,8 +66,8 @@ def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
         ratio = np.where(np.abs(z) < LAYER_START, ive(1, thick) / ive(0, thick), 1.0)
         heat = 2 * ratio / z
         result = heat if layer == "heat" else (1 - heat) / q
-    # at small arguments, the difference 1 - heat loses digits, and two terms of the power series
-    # suffice
+    # For small arguments, rounding errors dominate the difference 1 - heat. Two terms of the power
+    # series replace this difference.
     slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
     return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
@@ -130,16 +131,16 @@ def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np
 
 
 def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipative part of the function, which is linear in the weights.
+    """Return the dissipative part of a boundary-layer function, which is linear in the weights.
 
-    This is the real part of the admittance ``flow`` of a duct, or of the admittance ``q heat`` or
-    ``q layer``.
+    This part is the real part of the admittance ``flow`` of a duct, or of the admittance ``q heat``
+    or ``q layer``.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
 def _reaction(layer: Layer, value: np.ndarray) -> np.ndarray:
-    """Return the reactive part of the function, which stores energy."""
+    """Return the reactive part of a boundary-layer function, which represents the stored energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 

@@ -1,7 +1,7 @@
 """Figure of the displacement of surfaces that radiate sound.
 
-The input is displacements [m] over the scale of a run: amplitudes over frequency or motions over
-time. A volume velocity U gives the mean displacement ``int U dt / S`` of a surface S.
+The input is displacements [m]: amplitudes over frequency, or displacements over time. A volume
+velocity U gives the mean displacement ``int U dt / S`` of a surface S.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_
 from kc2spice.core.prefix import PREFIXES, format_quantity, prefix_power
 from kc2spice.core.waveforms import SCALES, Waveforms
 
-WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
+# ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
+WIDE_RANGE = 20.0
 PLACE_DIGITS = 4  # digits of a frequency in a title
 
 
 def integrate_flow(waves: Waveforms, flow: np.ndarray) -> np.ndarray:
     """Return the volume that a volume velocity [m^3/s] displaces [m^3].
 
-    A response is divided by ``j omega``. A wave is integrated by the trapezoidal rule from the
-    first time point on.
+    A frequency response is divided by ``j omega``. A wave over time is integrated by the
+    trapezoidal rule from its first point on.
     """
     scale = waves.scale.real
     if not np.iscomplexobj(flow):
@@ -41,8 +42,8 @@ def plot_displacements(
 ) -> Iterator[Figure]:
     """Plot displacements [m] of surfaces of the part ``name`` over time or frequency.
 
-    ``displacements`` are keyed by the label of the surface. Responses are drawn by their amplitude.
-    The unit has the prefix of the largest displacement.
+    ``displacements`` are keyed by the label of the surface. For a frequency response, the figure
+    shows the amplitude. The unit has the prefix of the largest displacement.
     """
     scale, x = next(iter(waves)), waves.scale.real
     if scale not in SCALES or x.size < 2:
@@ -66,6 +67,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the place of the largest of all values, rounded."""
+    """Return the value of ``x`` at the largest of all ``sizes``, rounded to few digits."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

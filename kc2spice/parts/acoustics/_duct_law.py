@@ -1,8 +1,8 @@
 """Law of a duct for the independent integrator: a chain of compliances, flows and relaxations.
 
 Every node of the chain has a compliance C to the ambient pressure, unless it is a pin. Flows with
-mass m and resistance r are between nodes, and thermal relaxations with the resistance R and the
-compliance c at nodes::
+mass m and resistance r connect the nodes. Thermal relaxations with the resistance R and the
+compliance c act at the nodes::
 
     m dq/dt = p_start - p_end - r q
     C dp/dt = flows into the node - sum (p - v) / R
@@ -40,7 +40,7 @@ class DuctLaw(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the ends, and the ambient pressure."""
+        """Pins of the duct: its ends, and the ambient pressure."""
         kind = ACOUSTIC.kind_of_law
         ends = (LawPin(end, kind) for end in self.ends)
         return (*ends, LawPin(AMBIENT, kind, grounded=True))

@@ -28,12 +28,15 @@ FIRST_NULL = 3.8317  # first zero of J1
 
 
 def baffled_radius(keys: RadiationKeys) -> float:
-    """Return the radius [m] of a piston in a baffle, 0 for shapes without directivity."""
+    """Return the radius [m] of a piston in a baffle.
+
+    Other shapes have no directivity, and the radius 0.
+    """
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
 
 def edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return the time w [s] by which the sound of an edge is ahead of that of the centre.
+    """Return the time w [s] by which sound from the edge arrives before sound from the centre.
 
     ``angle`` is the angle from the axis in degrees.
     """
@@ -47,7 +50,10 @@ def first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
 
 
 def travel_time(keys: RadiationKeys, distance: float) -> float:
-    """Return the travel time [s]; a sphere radiates from its surface, others from their centre."""
+    """Return the travel time [s] of sound.
+
+    A sphere radiates from its surface, and other shapes radiate from their centre.
+    """
     start = keys.surface_radius if keys.shape == "sphere" else 0.0
     return (distance - start) / keys.fluid.sound_speed
 

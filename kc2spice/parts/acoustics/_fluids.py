@@ -1,4 +1,4 @@
-"""Fluids of acoustic parts: constants of air and water with their sources, or a table of constants.
+"""Fluids of acoustic parts: built-in fluids with references for their constants, or tables.
 
 The type :data:`Fluid` of a key accepts a name of :data:`LIBRARY` or a table. Parts read the
 resulting :class:`FluidTable`.
@@ -26,7 +26,7 @@ from kc2spice.core.quantities import (
 from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
-LARGEST_HEAT_RATIO = 5 / 3  # specific heats of a monatomic gas
+LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
 # lower limits: a thousandth of the values of the thinnest gases
@@ -37,7 +37,8 @@ SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)
 class FluidTable(Section):
     """Constants of a fluid at rest.
 
-    Without a viscosity, there are no viscous losses; without a conductivity, no thermal losses.
+    Without a viscosity, there are no viscous losses. Without a conductivity, there are no thermal
+    losses.
     """
 
     density: Density = Field(
@@ -90,7 +91,7 @@ class FluidTable(Section):
 
     @property
     def is_gas(self) -> bool:
-        """Whether the density is that of a gas."""
+        """Whether the fluid has the density of a gas."""
         return self.density < LARGEST_GAS_DENSITY
 
     @property
@@ -102,7 +103,7 @@ class FluidTable(Section):
 
     @property
     def words(self) -> str:
-        """Density and speed of sound in words."""
+        """Density and speed of sound as text."""
         return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
 
 

@@ -1,4 +1,4 @@
-"""Networks of radiation impedances in units of the piston.
+"""Networks of radiation impedances, normalised to the size of the piston.
 
 Resistances are relative to rho c / S, angular frequencies to c / a, with the radius a and the area
 S of the piston. A section without bandwidth is a resistance parallel to an inductance; the other

@@ -28,7 +28,7 @@ SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Radiator:
-    """Shape of a radiator: its network, area, and solid angle of the far field.
+    """Data of a radiator shape: network of its impedance, area, and solid angle of the far field.
 
     ``area`` is the surface relative to the squared radius. ``solid_angle`` is 2 pi if a baffle
     confines the sound to a half-space, otherwise 4 pi.
@@ -41,7 +41,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """Largest ka and errors of the network in words."""
+        """Largest k a and errors of the network as text."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (

@@ -1,9 +1,10 @@
 """Low pass of the sound pressure in a netlist, and its compensation after a run.
 
-The pressure at the pin ``sound`` is the rate of a volume velocity. With the trapezoidal rule, a
-plain derivative oscillates after each kink of the volume velocity and never decays: ``v_n+1 = 2 L
-(i_n+1 - i_n) / h - v_n``. A resistor and a capacitor parallel to the inductance L make the rate a
-low pass of second order with the corner frequency w: ``R = w L / sqrt(2)``, ``C = 1 / (w^2 L)``.
+The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
+the trapezoidal rule, a plain derivative oscillates after each kink of the volume velocity and never
+decays: ``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor and a capacitor parallel to the
+inductance L turn the derivative into a second-order low pass with the corner frequency w: ``R = w L
+/ sqrt(2)``, ``C = 1 / (w^2 L)``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ CORNER_RATIO = 3.0
 
 
 def pass_delay(corner: float) -> float:
-    """Return the delay [s] of the low pass far below its corner frequency [rad/s]."""
+    """Return the delay [s] of the low pass at frequencies far below its ``corner`` [rad/s]."""
     return math.sqrt(2) / corner
 
 

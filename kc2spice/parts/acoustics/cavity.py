@@ -1,4 +1,4 @@
-"""Closed volume of fluid: its compliance, and the heat that its walls conduct."""
+"""Cavity, a closed volume of fluid: its compliance, and the heat conduction into its walls."""
 
 from __future__ import annotations
 
@@ -34,9 +34,11 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
-CORNERS_PER_DECADE = 2  # relaxations of the walls; the error of the losses is below 1 %
-LARGEST_SHARE = 0.1  # largest dimension in wavelengths at which the pressure is uniform
-# surface divided by volume^(2/3) of a cube, and of a sphere, which has the smallest surface
+# relaxations in each decade of frequency; the error of the wall losses is below 1 %
+CORNERS_PER_DECADE = 2
+# ratio of largest dimension to wavelength up to which the pressure counts as uniform
+LARGEST_SHARE = 0.1
+# ratio of surface to volume^(2/3) for a cube, and for a sphere, whose surface is the smallest
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
 
@@ -75,7 +77,7 @@ class CavityKeys(FluidKeys):
 
     @property
     def depth(self) -> float:
-        """Ratio [m] of volume to surface, the length of the thermal relaxations."""
+        """Ratio [m] of volume to surface, the characteristic length of the thermal relaxations."""
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
     @property
@@ -85,7 +87,7 @@ class CavityKeys(FluidKeys):
 
 
 class Cavity(AcousticPart[CavityKeys]):
-    """Compliance and heat conduction of the walls of a cavity.
+    """Part type ``cavity``: compliance of a volume of fluid, with heat conduction into the walls.
 
     ``Y = j omega V / (rho c^2) (1 + (gamma - 1) tanh(z) / z)``, ``z^2 = j omega h^2 / alpha``, with
     the ratio h of volume to surface and the thermal diffusivity alpha.
@@ -137,7 +139,7 @@ stop = "2 kHz"
             )
 
     def _relaxations(self, part: Part[CavityKeys], scene: GovernedScene) -> Relaxations | None:
-        """Return the relaxations of the walls, None without losses."""
+        """Return the thermal relaxations at the walls; None without wall losses."""
         keys, fluid = part.keys, part.keys.fluid
         if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
             return None
@@ -146,7 +148,7 @@ stop = "2 kHz"
         return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
-        """Return the compliance of the volume, its leak and the heat exchange at its walls."""
+        """Return the network: compliance of the volume, leak, and heat exchange at the walls."""
         keys, walls = part.keys, self._relaxations(part, scene)
         volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
         elements = [volume]
@@ -196,7 +198,8 @@ def list_relaxations(
 ) -> Iterator[AcousticElement]:
     """Yield a resistance and a compliance in series for each thermal relaxation.
 
-    ``C (w / p) / (1 + s t / p)`` with the ``compliance`` C [m3/Pa] and the ``time`` t [s].
+    Each pair has the compliance ``C (w / p) / (1 + s t / p)``, with the weight w, the corner p, the
+    ``compliance`` C [m3/Pa] and the ``time`` t [s].
     """
     start, end = ends
     for k, (corner, weight) in enumerate(relaxations.terms, 1):

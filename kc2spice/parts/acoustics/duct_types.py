@@ -1,13 +1,15 @@
 """Circular ducts of fluid: short vents with end corrections, and tubes of many sections.
 
-A duct consists of sections with a series impedance and shunt compliances at both ends, per length:
+A duct consists of sections with a series impedance, and with shunt admittances at both ends. Their
+values per length are:
 
     1 / Z' = A / (j omega rho) F(omega rho a^2 / mu)
     Y'     = j omega A / (rho c^2) (gamma - (gamma - 1) F(omega a^2 / alpha))
 
 F is the function of viscous and thermal boundary layers (:mod:`._boundary_layers`); without losses,
-F = 1. An open end also moves fluid outside of the duct, of the length 0.8216 a with and 0.6127 a
-without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
+F = 1. An open end also moves fluid outside the duct. The length of this fluid is 0.8216 a with a
+flange and 0.6127 a without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to
+Acoustics, section 5.1.3).
 """
 
 from __future__ import annotations
@@ -51,11 +53,12 @@ from kc2spice.scene.rows import Neglected, Vector
 
 End = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
-WIDEST_DUCT = 1.84  # k a at which the first transverse mode of a circular duct propagates
+WIDEST_DUCT = 1.84  # k a above which the first transverse mode of a circular duct propagates
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
-FEW_SECTIONS = 10  # largest number of sections with losses as accurate as the losses of a vent
-CORNERS_OF_SECTIONS = 1  # corners in each decade of longer ducts; the error of losses is below 5 %
+FEW_SECTIONS = 10  # largest number of sections whose losses are as accurate as the losses of a vent
+# corners in each decade for longer ducts; the losses have an error below 5 %
+CORNERS_OF_SECTIONS = 1
 FAR_END = "b"
 FAR_METER = "Vflow_b"
 
@@ -131,7 +134,7 @@ class TubeKeys(DuctKeys):
 class Duct:
     """Sections of a duct with their losses.
 
-    ``viscous`` and ``thermal`` are the relaxations of the boundary layers, None without losses.
+    ``viscous`` and ``thermal`` are the relaxations of the boundary layers; None without losses.
     ``phase_error`` is the relative error of the phase velocity at the end of the band.
     """
 
@@ -159,7 +162,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.closed(part) else ("a", FAR_END)
 
     def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow, from end ``a`` to the other end or a leak."""
+        """Return the path of a steady flow, from the end ``a`` to the other end or to a leak."""
         return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -204,7 +207,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return 1
 
     def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> Duct:
-        """Return sections and losses of a duct in the band of the scene."""
+        """Return sections and losses of a duct, accurate in the frequency band of the scene."""
         keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
         count = self.sections(part, scene)
         corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_SECTIONS
@@ -220,7 +223,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return Duct(count, viscous, thermal, phase**2 / 24)
 
     def network(self, part: Part[DuctKeys], scene: GovernedScene) -> AcousticNetwork:
-        """Return the elements of the sections of the duct."""
+        """Return the acoustic elements of all sections of the duct."""
         duct = self.duct(part, scene)
         elements = tuple(self._list_elements(part, duct))
         words = (
@@ -235,7 +238,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return {} if self.closed(part) else {FAR_END: "out"}
 
     def _describe(self, duct: Duct) -> str:
-        """Describe sections and losses with their errors in the band."""
+        """Describe the sections and losses of a duct with their errors in the frequency band."""
         losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
@@ -280,7 +283,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return result
 
     def law(self, part: Part[DuctKeys], build: Build) -> laws.Equations:
-        """Return one law of the whole duct, because it may have hundreds of elements."""
+        """Return one law for the whole duct, because the duct can have hundreds of elements."""
         n, network = part.name, self.network(part, build.scene)
         pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
         law = make_duct_law(n, network, pins)
@@ -334,7 +337,7 @@ def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) 
 def _list_series(
     duct: Duct, ends: tuple[str, str], index: int, part: Part[DuctKeys], step: float
 ) -> Iterator[AcousticElement]:
-    """Yield the series elements of a section: one mass, or branches of resistance and mass."""
+    """Yield the series elements of a section: a mass, or parallel resistance-mass branches."""
     keys, (start, end) = part.keys, ends
     radius = keys.inner_radius
     inertia = keys.fluid.density * step / (math.pi * radius**2)
@@ -437,7 +440,7 @@ stop = "3 kHz"
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
     def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the stated number of sections, or a number for the band."""
+        """Return the number of sections: the key ``sections``, or a number for the scene's band."""
         stated = part.with_schema(TubeKeys).keys.sections
         return stated or min(self._required_sections(part, scene), MOST_SECTIONS)
 

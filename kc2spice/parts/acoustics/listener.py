@@ -48,7 +48,8 @@ from kc2spice.scene.rows import Neglected, Vector
 OUT = "out"  # pin of the sound pressure
 RADIATION = "radiation"  # part type of the sources
 RIGHT_ANGLE = 90.0  # degrees, largest angle in front of a baffle
-# Functions that add directivity and travel time to a sound pressure, by the scale of an analysis.
+# Functions that add directivity and travel time to a sound pressure, keyed by the axis of an
+# analysis.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
 LOG_DECADES = 1.3  # smallest number of decades for a logarithmic frequency axis
 
@@ -79,11 +80,12 @@ class ListenerKeys(Section):
 class Listener(PartType[ListenerKeys]):
     """Sum of the far fields of radiating surfaces.
 
-    A piston in a baffle has ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity
-    ``D = 2 J1(x) / x``, ``x = k a sin(angle)``, and a sphere ``p_surface a / r exp(-j k (r - a))``
-    (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). An open end
-    has ``j omega rho (U + p S / (rho c)) / (4 pi r) exp(-j k r)``, the value on its axis (H.
-    Levine, J. Schwinger, Phys. Rev. 73 (1948) 383).
+    A piston in a baffle has ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity ``D
+    = 2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r exp(-j k (r - a))``
+    (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). For an open
+    end with the pressure p_end on its surface, the value on the axis is used at all angles: ``p = j
+    omega rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J. Schwinger, Phys. Rev.
+    73 (1948) 383).
     """
 
     name, title = "listener", "sound pressure at a point in the far field"
@@ -204,9 +206,10 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             )
 
     def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
-        """Return the frequency [Hz] up to which the distance exceeds S / wavelength.
+        """Return the frequency [Hz] up to which the listener's distance exceeds S / wavelength.
 
-        The pressure of a sphere has no near field.
+        S is the area of the surface. For a sphere the frequency is infinite, because its pressure
+        has no near field.
         """
         if source.keys.shape == "sphere":
             return math.inf
@@ -255,7 +258,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
     def law(self, part: Part[ListenerKeys], build: Build) -> laws.Equations:
-        """Return no equations, because the pressure is computed from the sources after the run."""
+        """Return no equations: the pressure is computed after the run from other results."""
         return laws.Equations()
 
     def corrected_waves(
@@ -297,7 +300,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         }
 
     def _is_level_probed(self, part: Part[ListenerKeys], scene: Scene) -> bool:
-        """Return whether a probe reads the level, so that no further plot of it is needed."""
+        """Return whether a probe reads the level, whose plot replaces the plot of the listener."""
         name = f"{part.name}.{ACOUSTIC.across.symbol}"
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
@@ -354,7 +357,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
 
 def _input_names(count: int) -> tuple[str, ...]:
-    """Return the pin of the sound pressure of each source."""
+    """Return the names of the input pins, one for the sound pressure of each source."""
     return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
 
 

@@ -90,7 +90,7 @@ class RadiationKeys(FluidKeys):
 
     @property
     def sound_corner(self) -> float:
-        """Corner frequency [rad/s] of the low pass of the pin ``sound``; a sphere has none."""
+        """Corner frequency [rad/s] of the low pass at the pin ``sound``, which a sphere lacks."""
         return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
@@ -246,8 +246,8 @@ stop = "20 kHz"
 class FarField:
     """Pressure in the far field, on the axis at the reference distance, without travel time.
 
-    It is ``pressure * p + flow * U`` with the pressure p [Pa] on the surface and its volume
-    velocity U [m3/s], or the rate of this sum if ``rate``.
+    The pressure is ``pressure * p + flow * U`` with the pressure p [Pa] on the surface and its
+    volume velocity U [m3/s]. With ``rate``, it is the time derivative of this sum.
     """
 
     pressure: float
@@ -264,8 +264,8 @@ def find_far_field(keys: RadiationKeys) -> FarField:
 
     The field is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with
     the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end.
-    The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times that of a point
-    source of the same power.
+    The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the intensity of a
+    point source with the same power.
     """
     if keys.shape == "sphere":
         return FarField(keys.surface_radius / REFERENCE_DISTANCE, 0.0, rate=False)
@@ -277,7 +277,7 @@ def find_far_field(keys: RadiationKeys) -> FarField:
 
 
 def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Reading:
-    """Return the far field as a combination of waves of the independent integrator."""
+    """Return the far field as a linear combination of waves of the independent integrator."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
         ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,

@@ -35,13 +35,15 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
-STATE_FACTOR = 2  # recommended number of states, relative to a model that is too coarse
-# error estimates above which a run fails, or prints a warning
+# ratio of the recommended number of states to the number of states of a model that is too coarse
+STATE_FACTOR = 2
+# Error estimates above which a run fails, or prints a warning.
 FAILURE_ERROR = 0.1
 WARNING_ERROR = 0.01
-# Error of a port's compliance above the band. A body in contact with a larger error is checked
-# under the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 %
-# (rms); at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
+# Largest error of a port's compliance above the band. If a body in contact has a larger error, it
+# is checked under the loads of the run. The built-in kicks have compliance errors of at most 0.20,
+# and errors under load below 0.3 % (rms). Chips of 7 to 12 states have compliance errors of at
+# least 0.53, and errors under load of 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = (
     "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
@@ -65,20 +67,23 @@ STEEP_EDGE_ADVICE = (
     "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
-# smallest end of the band, relative to the lowest resonance; a lower end caused an error of 2 % in
-# a kick
+# smallest ratio of the end of the band to the lowest resonance; with a smaller ratio, a kick had an
+# error of 2 %
 MIN_BAND_RATIO = 1.5
-EQUAL_TIME_TOLERANCE = 1e-9  # distance of equal time points, relative to the duration of a run
+# time points closer than this fraction of the duration of a run count as equal
+EQUAL_TIME_TOLERANCE = 1e-9
 # share of a floating electrode's charge that the leak of the netlist may remove
 MAX_CHARGE_LOSS = 1e-4
-# limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
+# limit of the energy error, relative to the stored energy; after a pulse a chip rings at up to 30
+# MHz
 MAX_STORED_SHARE = 0.1
-# load that counts as zero, relative to the largest force or energy; far above rounding
+# A load below this fraction of the largest force or energy counts as zero. The fraction is far
+# above rounding errors.
 ZERO_LOAD = 1e-9
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
-    """A linear part that checks its reduced model under the loads of a run."""
+    """Linear part with checks of its reduced model under the loads of a run."""
 
     def checks(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
@@ -117,9 +122,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_rating(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check]:
-        """Whether the voltage at each electrode stays within its rating.
+        """Check whether the voltage at each electrode stays within its rating.
 
-        In an ac analysis, the amplitude at the source voltages of the scene is compared with the
+        In an ac analysis, the amplitude for the source voltages of the scene is compared with the
         rating.
         """
         volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
@@ -152,8 +157,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         recorded loads instead.
 
         A large pointwise error at a sharp resonance may have no effect under the recorded loads,
-        and a small error does not apply to loads above the band. The error under load compares the
-        responses of this model and of a model with more states to the recorded forces and voltages.
+        and a small error does not apply to loads above the band. The error under load is the
+        difference between the responses of the reduced model and of a model with more states to the
+        recorded forces and voltages.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
@@ -183,7 +189,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """Return the largest error of the reduced ``model`` while the loads of a run change.
 
         The second result is the number of states of the reference model. The result is None if a
-        load or a model with more states is missing.
+        load was not recorded, or if there is no model with more states.
         """
         loads, certificate = self.loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -222,9 +228,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield checks whether the band contains the frequencies of the drives.
 
-        The frequency of a drive is ``max |v'| / (pi (max v - min v))``: the frequency of a sine,
-        or a third of the reciprocal of an edge. A contact excites the first resonance more than
-        any drive.
+        The frequency of a drive v is ``max |v'| / (pi (max v - min v))``. This is the frequency of
+        a sine, or about a third of the reciprocal of an edge time. A contact excites the first
+        resonance more than any drive.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
@@ -250,7 +256,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def loads(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Loads of every port of the reduced model over time, in SI.
+        """Return the load of each port of the reduced model over time, in SI.
 
         A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
         whose force is not recorded are left out.
@@ -275,8 +281,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
         The losses are the work on the exact response minus its stored energy. The electrical work
         needs the current of the body among the waveforms. The scale is the largest change of the
-        stored energy, or its rounding error without motion. If the ringing is not resolved, the
-        check ends when the last force on the body ends.
+        stored energy, or its rounding error without motion. If the time steps do not resolve the
+        ringing, the check ends when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
@@ -316,6 +322,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """Return the check of a reduced model's error, which prints a warning before it fails."""
+    """Return the check of a reduced model's error; it warns above 1 %, and fails above 10 %."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

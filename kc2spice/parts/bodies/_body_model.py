@@ -45,14 +45,16 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
-RANGE_TOLERANCE = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
-# Hz, smallest upper end of the band of a transient, because switching in the circuit has unknown
+# tolerance over parameter ranges for bodies that are otherwise reduced to a fixed order
+RANGE_TOLERANCE = 1e-4
+# Hz, smallest upper end of the band of a transient, because switching in a circuit contains unknown
 # frequencies
 MIN_BAND_END = 10e3
-BAND_MODES = 20  # number of natural frequencies in the default band; higher ones depend on the mesh
+# number of natural frequencies in the default band; higher natural frequencies depend on the mesh
+BAND_MODES = 20
 # Keys of a body that do not affect its models.
 _IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
-# Packages and modules that every full and reduced model depends on.
+# Packages and modules on whose source code every full and reduced model depends.
 MODEL_SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
@@ -66,29 +68,31 @@ class BodyModel(BodyPorts[LinearKeysT]):
     """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
     A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
-    state order or tolerance, and the band of the reduction.
+    state the order or tolerance, and the band, of the reduction.
     """
 
-    # classes of the reduced model over ranges of parameters, which the cache stores
+    # Classes of the objects in a reduced model over parameter ranges; the cache stores these
+    # objects.
     range_classes: tuple[type, ...] = (Varying, DampingParameter)
-    ranges_from_zero = False  # whether the ranges of its parameters may begin at zero
-    # class of the materials in the keys of the part
+    ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
+    # Class of the material tables in the keys of the part.
     material_table: type[BaseModel] = MaterialTable
 
     @abstractmethod
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """The full model of the whole device."""
+        """Return the full model of the whole device."""
 
     def varied(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """Return the full model on the mesh of ``like``, a part with other values, whose nodes are
-        moved.
+        """Return the full model on the mesh of ``like``, a part with other values.
+
+        The nodes of the mesh are moved to the geometry of ``part``.
         """
         return self.full(part, scene, clock)
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
-        """Data that determine the full model, as a key of the cache."""
+        """Return the data that determine the full model, as a key of the cache."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -97,9 +101,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         yield from check_corners(part, scene)
 
     def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
-        """Reduction that the keys of the body or the scene state, None if neither does.
+        """Return the reduction that the body or the scene states; None without such keys.
 
-        Parameters of the netlist alone are not a reduction.
+        A table ``rom`` that states only parameters of the netlist does not count as a reduction.
         """
         specified: Rom | None = part.keys.rom
         if specified is not None and specified.model_fields_set != {"parameters"}:
@@ -107,13 +111,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom:
-        """Settings of the keys; by default a tolerance over the band that the analysis uses.
+        """Return the reduction settings, by default a tolerance over the band of the analysis.
 
-        In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains the
-        excited frequencies (:meth:`PartType.numerics`), up to the first :data:`BAND_MODES` natural
-        frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. This
-        tolerance exceeds the effect of rounding on a free thin plate, which is about 1e-4 at its
-        resonances.
+        In ``ac``, the band ends 20 % above the last frequency. In a transient, the band contains
+        the excited frequencies (:meth:`PartType.numerics`), but at most the first
+        :data:`BAND_MODES` natural frequencies of the body. The tolerance of 1e-3 is a tenth of
+        usual mesh errors, and exceeds the rounding errors of a free thin plate, which are about
+        1e-4 at its resonances.
         """
         specified, result = part.keys.rom, self._stated_reduction(part, scene)
         if result is None and scene.analysis.is_small_signal:
@@ -127,9 +131,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result.model_copy(update={"parameters": specified.parameters})
 
     def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Least upper end of the band of a transient [Hz]; None if the user set the band.
+        """Return the smallest upper end [Hz] of the band of a transient.
 
-        The band does not depend on the natural frequencies of the body.
+        The result is None if the user set the band. The natural frequencies of the body do not
+        change the result.
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
@@ -137,7 +142,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.default_band_end(scene), *content])
 
     def default_band_end(self, scene: Scene) -> float:
-        """Least upper end of the band of a transient [Hz] for any excitation."""
+        """Return the smallest upper end [Hz] of the band of a transient for any excitation."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
@@ -232,12 +237,12 @@ class BodyModel(BodyPorts[LinearKeysT]):
     ) -> LinearModel | None:
         """Return the model of the part."""
         if full:
-            # the matrices of a full model cannot have some losses
+            # The matrices of a full model cannot represent some losses.
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := varied_keys(part):
             return self.varying(part, scene, clock).at(values_of_part(keys))
-        # Computed here as part of the key, because ``build`` itself is hashed by the text of its
-        # modules only.
+        # ``build`` uses these values, so they are part of the cache key. Of the code of ``build``,
+        # the key contains only hashes of modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
@@ -292,7 +297,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Limit a band to the first natural frequencies of the full model (``least_band_end``)."""
+        """Limit a band to the first natural frequencies of the full model."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -307,7 +312,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce a ``model`` of the part by ``aims``: order, tolerance, band and norm."""
+        """Reduce a ``model`` of the part; ``aims`` are order, tolerance, band and norm."""
         from kc2spice.rom.reduce import reduce_model
 
         if aims["order"] is not None and model is orders.model:
@@ -316,9 +321,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return reduce_model(model, **aims, contact=True)
 
     def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
-        """Return reductions of the full model to prescribed orders, with the ports of the scene.
+        """Return an object that reduces the full model with the scene's ports to prescribed orders.
 
-        The reductions stay in the workspace, because the next scene often needs another order.
+        The object stays in the workspace, because the next scene often needs another order.
         """
         from kc2spice.rom.enriched import Orders
 
@@ -334,31 +339,31 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 
     def sources(self) -> tuple[str, ...]:
-        """Modules whose text determines the models of this type, as a key of the cache."""
+        """Return the modules whose text determines the models of this type, for the cache key."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*MODEL_SOURCES, *classes)
 
 
 def loss_tangent(part: Part) -> float:
-    """Loss tangent of the dielectric in the damping of a body, 0 by default."""
+    """Return the loss tangent of the dielectric from the damping of a body; 0 by default."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
 def has_complex_constants(part: Part) -> bool:
-    """Whether a body's losses are complex constants of IEEE 176."""
+    """Return whether the losses of a body are complex constants of IEEE 176."""
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
 def damping_of(part: Part) -> Damping:
-    """Damping of a body whose keys state it."""
+    """Return the damping from the keys of a body."""
     damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
     return damping
 
 
 def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
-    """Return the complex constants of a body's damping.
+    """Return the complex constants that represent the damping of a body.
 
-    The constants hold at the stated frequency, or at a resonance of the ``model``.
+    The constants hold at the frequency in the keys, or at a resonance of the ``model``.
 
     Raises
     ------
@@ -378,10 +383,9 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
 
 
 def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """Give ``model`` viscous damping that is at most the damping by complex constants at every
-    frequency.
+    """Return ``model`` with viscous damping that nowhere in the band exceeds the complex constants.
 
-    The error of a reduction is then no larger with complex constants.
+    With complex constants, the error of a reduction is then not larger.
     """
     loss = losses_of(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
@@ -416,7 +420,7 @@ def full_model_without_scene(part: Part, scene: GovernedScene, clock: Clock) -> 
 
 
 def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
-    """Band [Hz] over which a scene reduces the ``full`` model of its body."""
+    """Return the band [Hz] over which a scene reduces the ``full`` model of a body."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     target, key = reduction_target(part, scene), kind.model_key(part, scene)
@@ -452,6 +456,6 @@ def hash_file(path: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _content(path: Path, size: int, changed: int) -> str:
-    """Return the content of a file."""
+    """Return the hash of a file; its size and its time of change are keys of the cache."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -30,7 +30,8 @@ from kc2spice.synthesis.realize import UNRATED, subcircuit
 RATING_TEXT = (
     "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"
 )
-_MAX_NAME_LENGTH = 47  # letters of the names of scene and part in the name of a library
+# largest number of letters of scene name and part name in the name of a library
+_MAX_NAME_LENGTH = 47
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
@@ -39,10 +40,10 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     noise = ("Rnoise",)
 
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
-        """Weights of the modes in time step control.
+        """Return the weights of the modes in time step control.
 
-        They are ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body without
-        load.
+        The weights are ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body
+        without load.
         """
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 

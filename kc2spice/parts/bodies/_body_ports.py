@@ -1,4 +1,4 @@
-"""Ports of a linear part: the used ports, their pins, their state at rest, and result names."""
+"""Ports of a linear part: used ports, pins, equilibrium, and names of results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.rows import Rest
 from kc2spice.synthesis.terminals import reference_pin
 
-# Kinds of ports with one pin against the common reference, and their domains.
+# Domain of each kind of port that has one pin and the common reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
 # Symbols of through quantities whose integral is the output of a port, keyed by kind of port.
 FLOW_SYMBOLS_OF_PORTS = {
@@ -40,7 +40,7 @@ WAVE_WORDS = (
     *(domain.word for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-ZERO_ENERGY = 1e-13  # rounding error of an energy, relative to the energy of the stiffest mode
+ZERO_ENERGY = 1e-13  # rounding error of an energy, as a fraction of the energy of the stiffest mode
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
@@ -49,33 +49,33 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     The :meth:`ports` of a subclass follow from its keys.
     """
 
-    #: Origin of the model, in the head of its netlist and in ``explain``.
+    #: Origin of the model, as text for the header of its library and for ``explain``.
     source = "FE, linear"
 
     @abstractmethod
     def ports(self, part: Part[LinearKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
-        """All ports that the body offers."""
+        """Return all ports of the body."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """First line of the library of a body, with the assumptions."""
+        """Return the first line of the library of a body, with its assumptions."""
         return self.title
 
     def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:
-        """Largest voltage [V] between electrodes for the material, None if unknown."""
+        """Return the largest voltage [V] between electrodes for the material; None if unknown."""
         return None
 
     def rated_voltage(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
-        """Largest voltage [V] between electrodes, from its keys, its layers or its mesh."""
+        """Return the largest voltage [V] between electrodes, from keys, layers or mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
         known = part.keys.rated_voltage or self.rated_by_material(part)
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
-        """The ports that the scene needs: electrical ports, and other ports that a part or probe
-        names.
+        """Return the ports that the scene needs.
 
-        Return all ports if the body is the only part, because the scene only exports the body. In
-        an export, return all declared ports.
+        These ports are electrical ports, and other ports that a part or probe names. If the body is
+        the only part, all ports are returned, because the scene only exports the body. In an
+        export, all declared ports are returned.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
@@ -120,9 +120,9 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
 
     def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
-        """Whether the scene joins the heat pin, by which the losses leave.
+        """Return whether the scene joins the heat pin, out of which the power of the losses flows.
 
-        Bodies with a port of this name, and heat bodies, do not have this pin.
+        Bodies with a port of the same name, and heat bodies, do not have this pin.
         """
         if not is_heated(part, scene):
             return False
@@ -130,12 +130,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return all(p.name != HEAT and p.domain is not THERMAL for p in ports)
 
     def reference(self, part: Part[LinearKeysT], scene: WiredScene) -> Terminal:
-        """Return the pin that is the reference of all single pins."""
+        """Return the reference pin of all ports that have a single pin."""
         last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
         return scene.pins(part.name)[last]
 
     def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> Rest:
-        """Return the paths from all pins to its reference."""
+        """Return the paths in equilibrium: pairs of a pin and the reference pin."""
         last = self.reference(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().at_rest(part, scene).paths
@@ -144,9 +144,10 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
 
     def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:
-        """Return the paths from all pins to its reference, of a free body between its pins.
+        """Return the paths in equilibrium with the built model.
 
-        An acoustic port is a path for flow only if the body is free.
+        The pins of a supported body have paths to the reference pin, and the pins of a free body
+        have paths between each other. An acoustic port is a path for flow only if the body is free.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
@@ -167,7 +168,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return Rest((*fixed, *product([first], others)), inert=inert)
 
     def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the mechanical ports in use, each of which moves mass."""
+        """Return the pins of the used mechanical ports; a displacement of each pin moves a mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
@@ -185,7 +186,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
-        """Modulus [Pa] of the half-space under a contact, None if the body is not a half-space."""
+        """Return the modulus [Pa] of the half-space under a contact; None for other bodies."""
         return None
 
 
@@ -198,14 +199,14 @@ def _require_ports(
 
 
 def required_ports(part: Part, scene: JoinedScene) -> set[str]:
-    """Ports or pins of ``part`` that other parts, probes, or pins of this part name."""
+    """Return ports and pins of ``part`` that other parts, probes, or its own key ``pins`` name."""
     prefix = f"{part.name}."
     assert isinstance(part.type, BodyPorts)
     result = set(part.pins)
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # the deck contains copies of the body, with loads on all ports
+        # The deck contains copies of the body, with loads on all ports.
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
@@ -228,7 +229,7 @@ def paired_ports(ports: Iterable[Port]) -> list[Port]:
 
 
 def _names_in_scene(port: Port) -> set[str]:
-    """Names by which a scene refers to a port."""
+    """Return the names by which a scene can refer to a port."""
     return {port.name, *port.terminals}
 
 
@@ -241,14 +242,15 @@ def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
 
 
 def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
-    """Whether a contact presses on ``part`` and requires ports without inertia."""
+    """Return whether a contact presses on ``part`` and requires ports without inertia."""
     return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
 
 
 def inert_ports(model: LinearModel) -> tuple[str, ...]:
-    """Return the pins of displacements whose response to a sudden force is inertia alone.
+    """Return the displacement pins at which only inertia resists a sudden force.
 
-    At these pins D is zero, and states without mass do not contribute to their motion.
+    At these pins, the matrix D is zero, and states without mass do not contribute to the
+    displacement.
     """
     if model.first_order or not model.symmetric:
         return ()
@@ -272,10 +274,10 @@ def has_energy_free_mode(model: LinearModel) -> bool:
 
 
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Name of a port's wave in results.
+    """Return the name of a port in results.
 
-    For an electrical port it is the prefix of voltage and current. The first electrical port has
-    the name of the part.
+    For an electrical port, the name is the prefix of voltage and current. The first electrical port
+    has the name of the part.
     """
     if port.paired:
         return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"
@@ -284,7 +286,7 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
 
 
 def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Name of the wave of the flow through a port's pin: the current of an electrode."""
+    """Return the name of the flow through a port's pin in results, such as a current."""
     if port.paired:
         return f"{wave_name(name, ports, port)}.current"
     return f"{name}.{FLOW_SYMBOLS_OF_PORTS[port.kind]}.{port.name}"

@@ -37,12 +37,12 @@ class VariedKey:
 
     @property
     def axis(self) -> ParameterAxis:
-        """Range of the key."""
+        """Parameter of a reduction, with the range of the key."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
     def param(self) -> Param:
-        """The netlist's parameter."""
+        """Parameter of the netlist that represents the key."""
         name = re.sub(r"\W+", "_", self.key).strip("_")
         unit = self.unit.replace(" ", "*") or "-"  # a unit is one word of a header
         return Param(name, self.value, unit, self.key, self.low, self.high)
@@ -75,7 +75,7 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
 
 def values_of_part(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the part's values of the keys."""
+    """Return the values that the part has for the keys."""
     return {item.key: item.value for item in keys}
 
 
@@ -92,7 +92,7 @@ def make_varied_key(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Make a key with its range, whose ends may be in either order.
+    """Make a key with a range, whose two ends can be in any order.
 
     With ``from_zero``, the range may begin at zero.
 
@@ -186,7 +186,7 @@ def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
 
 
 def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
-    """Return the number of a key below the part, and its SI unit.
+    """Return the value of a numeric key of the part, and its SI unit.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """Assumptions about a radiating face of a body, and their effects on the sound pressure level.
 
 Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
-is a piston with this volume velocity. Behind a cavity, a vent or a tube, the pressure on the face
-is uniform. The effects are the shape of the motion, the baffle, and the tolerances of resonance,
-support and Q factor. The effects are computed before a simulation from the full model, at the
-frequency with the largest level.
+is a piston with this volume velocity. In front of a face that works into a cavity, a vent or a
+tube, acoustic parts assume a uniform pressure. The effects are the shape of the motion, the baffle,
+and the tolerances of resonance, support and Q factor. The effects are computed before a simulation
+from the full model, at the frequency with the largest level.
 """
 
 from __future__ import annotations
@@ -26,34 +26,35 @@ from kc2spice.parts.bodies._face_response import (
 from kc2spice.scene.rows import Neglected
 
 TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a support
-# Largest k a for which the dipole formula holds: there the exact pressure of a rigid disc without a
-# baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
+# Largest k a for which the dipole formula holds. At this k a, the exact pressure of a rigid disc
+# without a baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
 LARGEST_DIPOLE_KA = 1.5
-# dB, largest difference of the radiated power without a warning: the tolerance of a sound level
-# meter of class 2 (IEC 61672-1)
+# dB, largest difference of the radiated power for which no warning is printed: the tolerance of a
+# sound level meter of class 2 (IEC 61672-1)
 PISTON_TOLERANCE = 1.0
 MIN_PISTON_SHARE = 0.5  # ratio of mean to rms velocity below which a warning is printed
 
 
 @dataclass(frozen=True)
 class FaceLevels:
-    """Differences of levels [dB] of a face at its resonance with the largest level.
+    """Effects of assumptions on the level [dB] of a face, at the resonance with the largest level.
 
     Attributes
     ----------
     resonance : frequency [Hz] of this resonance.
     piston_ratio : ratio of mean to rms velocity.
     peak : ratio of the largest to the mean displacement.
-    power : radiated power relative to that of a piston with the same volume velocity; ``worst``
-        is the largest difference of all resonances in the band, at ``worst_frequency`` [Hz]. All
-        are 0 for a face without a part of type ``radiation``.
+    power : radiated power relative to the power of a piston with the same volume velocity.
+        ``worst`` is the largest difference of all resonances in the band, at ``worst_frequency``
+        [Hz]. Without a part of type ``radiation`` on the face, these three values are 0.
     shift : relative change of the resonance frequency by the near field of a face that works into
-        other acoustic parts, infinite if it is unknown; ``near_field`` is its effect on the level.
-    unbaffled : level without a baffle, None if the body is no thin disc.
-    detuned : level 1 % beside the resonance, None without electrodes or without sound.
-    halved : level at half of the Q factor, None in the same cases.
-    node : diameter [m] of the circle without motion, None without such a circle.
-    support : differences on supporting ``rings`` of other diameters [m]; empty if unknown.
+        other acoustic parts, infinite if unknown. ``near_field`` is the effect of this shift on
+        the level.
+    unbaffled : change of the level without a baffle, None if the body is not a thin disc.
+    detuned : change of the level 1 % beside the resonance, None without electrodes or sound.
+    halved : change of the level if the Q factor is halved, None without electrodes or sound.
+    node : diameter [m] of the nodal circle, None without a nodal circle.
+    support : changes of the level on supporting ``rings`` of other diameters [m]; empty if unknown.
     """
 
     resonance: float
@@ -73,7 +74,7 @@ class FaceLevels:
 
     @property
     def total(self) -> float | None:
-        """Root of the sum of squares of all differences except ``unbaffled``, None if unknown."""
+        """Root of the sum of squares of all effects except ``unbaffled``, None if unknown."""
         if self.detuned is None or self.halved is None:
             return None
         sizes = [self.power, self.near_field, self.halved, self.detuned]
@@ -82,7 +83,7 @@ class FaceLevels:
 
 
 def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
-    """Return the diameter [m] of the innermost circle without motion on a face of revolution."""
+    """Return the diameter [m] of the innermost nodal circle on a face of a body of revolution."""
     if not motion.axisymmetric:
         return None
     order = np.argsort(motion.places[0])
@@ -124,7 +125,7 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
     damped = face.loudest_near(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
-        # a tone stays where it is, while the resonances fall
+        # The frequency of a tone is fixed, while the resonance frequencies fall.
         near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near
@@ -134,13 +135,13 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
 def _compare_with_piston(
     result: FaceLevels, face: FaceOfBody, motion: FaceMotion, hertz: np.ndarray, main: int
 ) -> FaceLevels:
-    """Return the result with the effects of the shape of the motion."""
+    """Return ``result`` with the differences between the motion of the face and of a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
         depth = facing.volume / motion.area
         masses = motion.near_field_masses(depth, float(numbers[main]))
-        # the modes have a mass of 1
+        # The modes are normalised to a modal mass of 1.
         return replace(result, shift=float(facing.fluid.density * masses[main] / 2))
     radius = facing.radiation.surface_radius
     ratios = [motion.power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
@@ -196,12 +197,12 @@ def list_level_effects(
 ) -> Iterator[Neglected]:
     """Yield the assumptions about a face with their effects on its level.
 
-    The face is ``direct`` if it has a part of type ``radiation`` on it.
+    With ``direct``, a part of type ``radiation`` is on the face.
     """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def effect(of: str, assumption: str, size: str) -> Neglected:
-        """Return a neglected effect with its size."""
+        """Return an assumption about the face as a neglected effect with its size."""
         return Neglected(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:

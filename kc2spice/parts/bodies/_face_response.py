@@ -1,11 +1,11 @@
-"""Level of the sound of a face, through the acoustic parts behind it, on its full model.
+"""Sound pressure level of a face behind acoustic parts, computed with the full model of the body.
 
 With the drive V, the pressures p on the faces, their displaced volumes y and the impedances Z and
 sound pressures g of :class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`,
 
     y = H_V V + H_p p,     p = -s Z y,     sound = -s g y,     s = j omega.
 
-The responses H are those of the full model, projected on a Krylov basis that contains its lowest
+H_V and H_p are responses of the full model, projected on a Krylov basis that contains its lowest
 modes.
 """
 
@@ -26,19 +26,20 @@ from kc2spice.parts.acoustics._fluids import FluidTable
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.rom.linear_model import LinearModel
 
-MAX_MODES = 6  # number of modes whose shapes are compared with a piston
-LOWEST_SHARE = 0.1  # lowest frequency of the search for the largest level, of the first mode
-SEARCH_POINTS = 150  # frequencies of this search, on a logarithmic axis
+MAX_MODES = 6  # number of modes that are compared with the motion of a piston
+# lowest frequency of the search for the largest level, as a fraction of the first natural frequency
+LOWEST_SHARE = 0.1
+SEARCH_POINTS = 150  # number of frequencies of this search, equally spaced on a logarithmic axis
 # Relative distances from the modes at which the search looks for sharp resonances.
 DISTANCES = np.geomspace(1e-4, 0.1, 16)
 MODE_RATIOS = np.concatenate([1 - DISTANCES, [1.0], 1 + DISTANCES])
 # Each refinement divides the interval about a peak by (REFINED_POINTS - 1) / 2 = 5.
 REFINEMENTS, REFINED_POINTS = 3, 11
-# dB, largest difference between a peak that becomes the largest one by refinement, and the largest:
-# a resonance with a Q factor of 200 between points of the first search
+# dB; peaks of the first search that are lower than the largest peak by more than this are not
+# refined. A resonance with a Q factor of 200 can be this much too low between two points.
 PEAK_MARGIN = 12.0
-HALF_OCTAVE = 2**0.5  # ratio of frequencies within which a resonance is followed
-SILENCE = 1e-300  # Pa/V, of a face that radiates nothing
+HALF_OCTAVE = 2**0.5  # largest ratio by which a resonance frequency can shift between two supports
+SILENCE = 1e-300  # Pa/V, below which a face counts as silent
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class FacingFluid:
     """Fluid in front of a face, in the parts ``names``.
 
     ``radiation`` are the keys of a part of type ``radiation`` on the face, None if the face works
-    into other parts. ``volume`` [m3] is that of the smallest closed volume, infinite without one.
+    into other parts. ``volume`` [m3] is the smallest closed volume in front of the face, infinite
+    without a closed volume.
     """
 
     names: tuple[str, ...]
@@ -60,7 +62,7 @@ class FaceOfBody:
     """Full model with an acoustic port, the fluid in front of it, and its load.
 
     ``joined`` are the names of all acoustic ports that the scene joins, in the order of the load.
-    The modes are those below ``end`` [Hz], at most ``count``.
+    The modes have natural frequencies below ``end`` [Hz]; their number is at most ``count``.
     """
 
     device: FiniteElementModel
@@ -72,29 +74,29 @@ class FaceOfBody:
     count: int = MAX_MODES
 
     def motions(self) -> tuple[np.ndarray, FaceMotion]:
-        """Return frequencies [Hz] and motions of the modes in the band."""
+        """Return natural frequencies [Hz] and face motions of the modes in the band."""
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     @property
     def audible(self) -> bool:
-        """Whether the model has a drive and its sound a known path to a radiating surface."""
+        """Whether electrodes drive the model, and its sound reaches a radiating surface."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)
 
     @cached_property
     def _reduced(self) -> LinearModel:
-        """The model on its lowest modes."""
+        """Reduced model, whose basis contains the lowest modes."""
         return project_lowest_modes(self.device)
 
     @cached_property
     def _resonances(self) -> np.ndarray:
-        """Frequencies [Hz] of the reduced model with shorted electrodes."""
+        """Resonance frequencies [Hz] of the reduced model with shorted electrodes."""
         squares = eigh(self._reduced.K, self._reduced.M, eigvals_only=True)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi))
 
     def levels(self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0) -> np.ndarray:
-        """Return levels [dB] of the sound at a constant voltage, up to a constant.
+        """Return relative sound pressure levels [dB] at a constant voltage.
 
         ``damping`` multiplies all losses of the body.
         """
@@ -114,7 +116,7 @@ class FaceOfBody:
         return np.asarray(20 * np.log10(np.maximum(pressure, SILENCE)))
 
     def loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
-        """Return the frequency [Hz] between two limits with the largest level, and this level."""
+        """Return the frequency [Hz] in a range at which the level is largest, and this level."""
         near = self._resonances[(self._resonances > low / 2) & (self._resonances < 2 * high)]
         f = np.union1d(np.geomspace(low, high, SEARCH_POINTS), np.outer(near, MODE_RATIOS))
         f = f[(f >= low) & (f <= high)]

@@ -43,7 +43,7 @@ class FilmKeys(Section):
 
 
 class InterfaceKeys(Section):
-    """Joint between two materials whose temperatures differ by its resistance."""
+    """Joint between two materials, with a thermal resistance."""
 
     between: tuple[str, str] = Field(
         description="The two groups of elements on both sides of the interface, with their "
@@ -55,7 +55,7 @@ class InterfaceKeys(Section):
 
 
 class LayerKeys(Section):
-    """Layer of a stack, through which heat flows at right angles."""
+    """Layer of a stack; heat flows perpendicularly through the layer."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     thickness: Length = Field(gt=0, description="Thickness of the layer")
@@ -69,7 +69,10 @@ class LayerKeys(Section):
 
 
 class HeatSourceKeys(Section):
-    """Place where heat enters the body; the pin has the mean temperature of the place."""
+    """Place where heat enters the body.
+
+    The voltage of the pin is the mean temperature of this place.
+    """
 
     group: str | None = Field(
         None,
@@ -85,7 +88,7 @@ class HeatSourceKeys(Section):
 
 
 class HeatBodyKeys(MeshKeys):
-    """Heat conducting body from a mesh, a CAD file, or a list of layers.
+    """Heat-conducting body from a mesh, a CAD file, or a list of layers.
 
     Layers are listed from the top down. Their groups are ``top``, ``bottom``, and ``layer1``,
     ``layer2`` … for the volume of each layer.
@@ -116,7 +119,7 @@ class HeatBodyKeys(MeshKeys):
 
     @property
     def film_pins(self) -> Iterator[str]:
-        """Pins behind films."""
+        """Pins that represent the fluids behind films."""
         return (film.pin for film in self.films if film.pin is not None)
 
     @property

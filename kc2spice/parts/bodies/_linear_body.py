@@ -39,7 +39,8 @@ from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
-# negative part of an impedance that exceeds rounding errors of a lossless body
+# Negative real part of an impedance, relative to its magnitude, that exceeds rounding errors of a
+# lossless body.
 MAX_ACTIVE_SHARE = 1e-3
 SENSITIVITY_STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
 
@@ -64,7 +65,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         result, keys = impedance_metrics(frequency, z), varied_keys(part)
         if not keys or "bvd" not in result:
             return result
-        # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
+        # The sensitivities d ln(metric) / d ln(key) are central differences within the ranges.
         box = self.varying(part, build.scene, Clock())
         port = paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
@@ -101,9 +102,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """Return the resonance of an impedance, if it is the largest conductance of the model.
+        """Return the resonance of an impedance, if the model's conductance is largest there.
 
-        The resonance is the maximum of the current of a voltage source at the first electrode,
+        At the resonance, the current of a voltage source at the first electrode has its maximum,
         without other loads on the body.
         """
         result = f"{part.name}.current"
@@ -114,11 +115,11 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins whose loads do not change which resonance is the largest."""
+        """Return the pins whose loads do not change which of the resonances is the largest."""
         return set()
 
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
-        """Whether a source alone drives the body and its resonance is the largest conductance."""
+        """Return whether one source drives the body, and its conductance peaks at a resonance."""
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
@@ -192,7 +193,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         yield from self.neglected(part, scene)
 
     def neglected(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
-        """Effect that ``solver.ringing = "coarse"`` neglects."""
+        """Yield the effect that ``solver.ringing = "coarse"`` neglects."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield Neglected(
@@ -200,9 +201,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
 
     def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
-        """Ports with prescribed temperatures instead of heat flows; none by default.
+        """Return the ports with prescribed temperatures instead of heat flows; none by default.
 
-        The certificate of the model holds for the responses to these temperatures.
+        The certificate of the model also holds for the responses to the prescribed temperatures.
         """
         return ()
 
@@ -213,7 +214,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def finer_mesh(
         self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Compare the model with a model of twice as many elements in each direction."""
+        """Yield the differences to a model with twice as many elements in each direction."""
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)
@@ -242,12 +243,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 yield Check(name, max(changes), item.coarse)
 
     def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
-        """Error estimate of the mesh, or the reason why it is missing."""
+        """Return the error estimate of the mesh, or the reason why there is no estimate."""
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
 def _read_count(part: Part, key: str) -> int:
-    """Return the value of a dotted key of a part, a number of pieces."""
+    """Return the value of a dotted key of a part, which is a whole number."""
     value: Any = part.keys
     for name in key.split("."):
         value = getattr(value, name)
@@ -255,10 +256,11 @@ def _read_count(part: Part, key: str) -> int:
 
 
 def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
-    """The impedance (frequencies,) [Ohm] as metrics, and the values that an impedance analyser
-    derives from it.
+    """Return an impedance (frequencies,) [Ohm], and values derived from it, as metrics.
 
-    If the range contains no resonance, the curve is the only metric.
+    The values are those that an impedance analyser derives from an impedance.
+
+    If the frequency range contains no resonance, the curve is the only metric.
     """
     from kc2spice.bodies.impedance import analyse_impedance
 
@@ -273,7 +275,7 @@ def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str,
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of an impedance analyser by name, with units."""
+    """Return the values of an impedance analyser by name, with units."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
@@ -284,10 +286,10 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """``V / I`` (frequencies,) [Ohm] at the first electrical port, if both were recorded.
+    """Return the impedance ``V / I`` (frequencies,) [Ohm] at the first electrical port.
 
-    The result is also None if the body supplies the circuit, because V / I is then not the
-    impedance of the body.
+    The result is None without recorded V and I, or if the body supplies the circuit: V / I is then
+    not the impedance of the body.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")

@@ -30,9 +30,9 @@ class LinearKeys(Section):
 
 
 class FieldKeys(LinearKeys):
-    """Keys of the stress and field inside the body.
+    """Keys of the stress and electric field inside the body.
 
-    Whether a run computes them, or the instants for which it writes VTU files.
+    The key ``fields`` states whether a run computes both fields, or the instants of VTU files.
     """
 
     fields: (

@@ -20,14 +20,14 @@ from kc2spice.scene.model import DeclaredScene, Part
 Point: TypeAlias = tuple[Length, Length, Length]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-MESH_FIELD = Field(  # key mesh, which some bodies require
+MESH_FIELD = Field(  # field of the key ``mesh`` for bodies that require this key
     description="Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, "
     ".exo, .e, .step, .stp or .brep"
 )
 
 
 class GroupKeys(Section):
-    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
+    """Group of a CAD file: entities that contain one of the given points, or that lie in a box."""
 
     solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
     faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
@@ -55,7 +55,7 @@ class GroupKeys(Section):
         return self
 
     def pick(self, unit: float) -> dict[str, Any]:
-        """Selection for the mesh reader, in a file of this unit [m]."""
+        """Return the selection for the mesh reader, in a file with the length ``unit`` [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
         at = np.divide(getattr(self, kind), unit)
@@ -113,7 +113,7 @@ def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
 
 
 def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield the error of a part's mesh file that is found without reading the file as a whole."""
+    """Yield an error of a part's mesh file that can be found without reading the whole file."""
     try:
         path = mesh_path(part, scene)
         mesh_file.require_format(path)
@@ -150,7 +150,7 @@ def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.
 
     Raises
     ------
-    UsageError : an element without material, or with two.
+    UsageError : an element without a material, or with two materials.
     """
     names = list(names)
     owner = np.full(groups.mesh.nelements, -1)

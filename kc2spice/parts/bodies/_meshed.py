@@ -1,4 +1,4 @@
-"""Bodies whose stress and field a run computes on their mesh if the key ``fields`` is set.
+"""Bodies with a mesh, on which a run computes stress and electric field if ``fields`` is set.
 
 The full model computes the fields from the port waveforms of the run
 (:mod:`kc2spice.bodies.fields`). The results are the largest principal stress and field of every
@@ -52,7 +52,7 @@ MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
 _SINGULARITY_ADVICE = (
     "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 )
-# Word and unit of the metrics, panel and scale of the plot, and the effect of exceeding the limit.
+# Name and unit of the metrics, title and scale of the plot, and the effect of exceeding the limit.
 _FIELD_DESCRIPTIONS = {
     "principal_stress": (
         "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
@@ -69,19 +69,18 @@ _FIELD_DESCRIPTIONS = {
 
 @dataclass(frozen=True)
 class RecoveredFields:
-    """Motion of a body in a run and the extremes of its fields."""
+    """Motion of a body in a run, and the extremes of stress and electric field."""
 
     motion: NodalMotion
     extremes: tuple[Extreme, ...]
 
     def extremes_of(self, quantity: str) -> list[Extreme]:
-        """Extremes of a quantity in each material."""
+        """Return the extremes of a quantity in each material."""
         return [item for item in self.extremes if item.quantity == quantity]
 
     @property
     def worst_stress(self) -> Extreme:
-        """The stress with the largest ratio to its limit, or the largest stress if there are no
-        limits."""
+        """Return the stress closest to its limit; without limits, the largest stress."""
         stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -90,15 +89,15 @@ class RecoveredFields:
 
 
 class MeshedBody(SoundingBody[FieldKeysT]):
-    """A body with a key ``fields``; a subclass makes its device."""
+    """Body with the key ``fields``; a subclass makes its finite-element model."""
 
     @abstractmethod
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Outer size of the body, for the sizes of neglected effects."""
+        """Return the outer size of the body, for the estimates of neglected effects."""
 
     @abstractmethod
     def describe_support(self, part: Part[FieldKeysT]) -> str:
-        """Support of the body in words."""
+        """Return a description of the support of the body."""
 
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the neglected effects of meshes, electrodes and the support."""
@@ -112,12 +111,13 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 
     @abstractmethod
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """The full model with its mesh."""
+        """Return the full model with its mesh."""
 
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """The full model with its mesh, from the workspace if it is the latest of its type.
+        """Return the full model with its mesh, from the workspace if possible.
 
-        The next scene often needs another reduction of the same model.
+        The workspace stores the latest model of each part type, because the next scene often needs
+        another reduction of the same model.
         """
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
         return scene.workspace.get_or_compute(
@@ -227,7 +227,8 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
             return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
 
-        # The identity of the waves is a key for as long as the result contains them.
+        # The identity of ``waves`` is a valid key while the stored result contains a reference to
+        # ``waves``.
         kind = f"fields of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
@@ -238,7 +239,7 @@ def find_field_problems(
     """Yield the error of the key ``fields``.
 
     The key is accepted only in transients. With ``shapes``, the value ``true`` is also accepted in
-    ac analyses, for the shapes of modes.
+    ac analyses, for the mode shapes.
     """
     kind, instants = scene.analysis.type, chosen_instants(part)
     drawn = shapes and kind == "ac" and not instants
@@ -264,22 +265,22 @@ def check_mesh(part: Part, build: Build) -> Iterator[Check]:
 
 
 def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
-    """Instants [s] of the key ``fields``."""
+    """Return the instants [s] that the key ``fields`` lists."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
 class BondedBody(MeshedBody[FieldKeysT]):
-    """A body of blocks: a subclass derives their :meth:`structure` from its keys."""
+    """Body of bonded blocks: a subclass derives the blocks from its keys by ``structure``."""
 
     discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Whether the rim of the body is clamped, so that air cannot flow around the body."""
+        """Return whether the rim of the body is clamped, so that air cannot flow around it."""
         return False
 
     def bonded(self, part: Part[FieldKeysT]) -> BondedBlocks:
-        """Blocks, electrodes, supports and ports of the body."""
+        """Return the blocks, electrodes, supports and ports of the body."""
         return _make_bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def sounding(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
@@ -302,7 +303,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Directions of the ports of the body, all upwards."""
+        """Return the directions of the ports of the body, which are all upwards."""
         result = {}
         for port in self.ports(part, scene):
             if port.domain in (TRANSLATION, ACCELERATION):
@@ -316,7 +317,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def varied(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
-        """Return the full model on the displaced mesh of a part with other values."""
+        """Return the full model on the mesh of the part ``like``, with moved nodes."""
         body = replace(self.sounding(part, scene), like=self.bonded(like))
         return body.device().model
 
@@ -355,10 +356,10 @@ class BondedBody(MeshedBody[FieldKeysT]):
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
-        """Yield the blocks from the side, with the highest face at zero.
+        """Yield the side view of the blocks, with the highest face at zero.
 
-        A block with a bore is drawn on both sides of the axis. The first block of each kind has a
-        legend.
+        A block with a bore is drawn on both sides of the axis. The first block of each kind has an
+        entry in the legend.
         """
         blocks, known = self.bonded(part).blocks, set[str]()
         top = max(block.box[-1][1] for block in blocks)
@@ -382,7 +383,7 @@ def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
 
 
 def metric_word(material: str) -> str:
-    """Part of a metric's name: letters, digits and single underscores."""
+    """Return a material name as part of a metric's name: letters, digits and underscores."""
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 
 

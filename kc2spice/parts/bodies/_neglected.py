@@ -20,14 +20,15 @@ from kc2spice.physics.declaration import ONE_TEMPERATURE
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
-    # the mass of these electrodes loads the finite elements
+    # Imported for annotations only, because the module loads the finite elements.
     from kc2spice.bodies.device import Block
 
-# W/(m^2 K), heat transfer from a small surface to still air by convection and radiation: VDI Heat
-# Atlas, 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at about 20 K above the air
+# W/(m^2 K), heat transfer coefficient from a small surface to still air, by convection and
+# radiation: VDI Heat Atlas, 2nd ed. 2010, sections F2 and K1, for sizes of 10 mm to 50 mm at about
+# 20 K above the temperature of the air
 COOLING_COEFFICIENT = 10.0
 GLUE_THICKNESS = 10e-6  # m, epoxy joint that is pressed while it cures
-# thickness of both fired electrodes together [m], and their density [kg/m^3]
+# Total thickness [m] of both fired electrodes, and the density of silver [kg/m^3].
 SILVER_LAYER = (2 * 5e-6, 10490.0)
 NOT_ESTIMATED_TEXT = "not estimated"
 
@@ -39,8 +40,8 @@ class Envelope:
     Attributes
     ----------
     air : mass [kg] of the air that moves with the body, None if no formula exists for its shape.
-    mass : mass of the body [kg], None before the mesh is made.
-    surface : [m^2], surface of its bounding box if the shape is a mesh of the user.
+    mass : mass of the body [kg], None before the mesh exists.
+    surface : surface [m^2] of the body; for a user's mesh, the surface of the bounding box.
     layers : glued layers from the bottom up; bodies with bolts and mesh files have none.
     length : [m] along which these layers are coupled: half the diameter of a disc.
     electrode : area [m^2] of one face.
@@ -55,15 +56,16 @@ class Envelope:
 
 
 def disc_air_mass(radius: float) -> float:
-    """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``.
+    """Return the mass [kg] of the air that a rigid disc moves on both sides together.
 
-    In a baffle it moves this mass on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
+    The mass is ``8/3 rho a^3``. In a baffle, the disc moves this mass on each side (L. L. Beranek,
+    Acoustics, 1986, section 5.2).
     """
     return 8 / 3 * AIR_DENSITY * radius**3
 
 
 def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
-    """Envelope of a body of revolution; no air flows around a ``baffled`` rim."""
+    """Return the envelope of a body of revolution; no air flows around a ``baffled`` rim."""
     boxes = np.array([block.box for block in blocks])
     radius = float(boxes[:, 0, 1].max())
     low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
@@ -78,9 +80,10 @@ def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelo
 
 
 def beam_envelope(blocks: Sequence[Block]) -> Envelope:
-    """Envelope of a beam of width w and length l, which moves ``pi/4 rho w^2 l`` of the air.
+    """Return the envelope of a beam of width w and length l.
 
-    Source: flow across a plate strip, J. N. Newman, Marine Hydrodynamics (1977), section 4.16.
+    The beam moves an air mass of ``pi/4 rho w^2 l``. Source: flow across a plate strip, J. N.
+    Newman, Marine Hydrodynamics (1977), section 4.16.
     """
     (x, length), (y, width) = blocks[0].box[:2]
     length, width = length - x, width - y
@@ -94,10 +97,10 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def box_envelope(sides: Sequence[float]) -> Envelope:
-    """Envelope of a box, or of a cylinder by its radius and height [m].
+    """Return the envelope of a box, or of a cylinder from its radius and height [m].
 
-    The mass of the moved air is at most ``8/3 rho a^3``, as for a disc of the size of the largest
-    face.
+    The mass of the moved air is at most ``8/3 rho a^3``, the mass for a disc with the size of the
+    largest face.
     """
     if len(sides) == 2:
         radius, height = sides
@@ -113,8 +116,8 @@ def neglected_effects(
 ) -> Iterator[Neglected]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    If ``support`` names the mounting, its compliance is one of the effects. The losses of a
-    ``heated`` body flow out of its heat pin.
+    If ``support`` names a mounting, the compliance of the mounting is one of the effects. The
+    losses of a ``heated`` body flow out of its heat pin.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
@@ -138,8 +141,11 @@ def neglected_effects(
 
 
 def _describe_air(envelope: Envelope) -> str:
-    """Size of the air's load: a mass m_a added to m lowers a frequency by ``1 - (1 +
-    m_a/m)^-1/2``."""
+    """Describe the effect of the moved air.
+
+    A mass m_a that is added to the mass m lowers a frequency by the fraction ``1 - (1 +
+    m_a/m)^-1/2``.
+    """
     if envelope.air is None:
         return NOT_ESTIMATED_TEXT
     if envelope.mass is None:
@@ -162,10 +168,10 @@ def _glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
 
 
 def shear_transfer_length(below: Block, above: Block) -> float:
-    """Length [m] over which the shear of the glue transfers strain between two layers.
+    """Return the length [m] over which the shear of the glue transfers strain between layers.
 
-    It is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de Luis, AIAA J. 25
-    (1987) 1373).
+    The length is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` with the thicknesses t, Young's moduli
+    E, and the shear modulus G of the glue (E. F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
     """
     shear = material("epoxy").C[3, 3]
     softness = 1 / (_youngs_modulus(below) * below.thickness)
@@ -174,7 +180,7 @@ def shear_transfer_length(below: Block, above: Block) -> float:
 
 
 def _youngs_modulus(block: Block) -> float:
-    """Young's modulus [Pa] along the layer."""
+    """Return Young's modulus [Pa] of a block along the layer."""
     return float(1 / np.linalg.inv(block.material.C)[0, 0])
 
 

@@ -17,20 +17,23 @@ from kc2spice.rom.modal import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
-# number of frequencies of an impedance, in addition to those near resonances
+# number of frequencies of an impedance, in addition to the frequencies near resonances
 IMPEDANCE_FREQUENCIES = 600
-MAX_MESH_LINES = 4000  # number of lines of a surface mesh above which only its edges are drawn
-MIN_BEND = 0.05  # relative size of the second direction of normals at an edge
-DISPLACEMENT_SHARE = 0.1  # largest displacement in the picture, relative to the body's size
-MAX_PIXELS = 360  # pixels of a coloured picture along its longer side
+# number of mesh lines on a surface above which only edges between faces at an angle are drawn
+MAX_MESH_LINES = 4000
+# smallest second eigenvalue of ``sum n n'`` over the faces at an edge, for an edge that is drawn
+MIN_BEND = 0.05
+DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body
+MAX_PIXELS = 360  # number of pixels along the longer side of a coloured picture
 IMPEDANCE_CAPTION = ": minimum at resonance, maximum at antiresonance."
-OBLIQUE_SHIFT = 0.35  # ratio of the drawn shift, to the right and upwards, to the depth
+# ratio of the shift to the right and upwards to the depth in an oblique projection
+OBLIQUE_SHIFT = 0.35
 
 
 def plot_impedances(
     name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str
 ) -> Figure:
-    """Magnitude and phase of impedances [Ohm] over frequency [Hz], as an analyser shows them."""
+    """Plot magnitude and phase of impedances [Ohm] over frequency [Hz]."""
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
     unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
     f = frequency / scale
@@ -49,10 +52,10 @@ def plot_impedances(
 def plot_port_impedances(
     name: str, model: LinearModel, modal: Resonators | None
 ) -> Iterator[Figure]:
-    """Impedance of every electrical port, with other ports shorted and no force on the body.
+    """Plot the impedance of each electrical port, with other ports shorted and without forces.
 
-    Frequencies are dense around the resonances of ``modal``, without the undamped resonances
-    themselves, where the impedance is not defined.
+    The frequencies are dense around the resonances of ``modal``. Undamped resonance frequencies are
+    left out, because the impedance is not defined there.
     """
     if model.certificate is None:
         return
@@ -128,9 +131,10 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
 def draw_deformed(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
-    """Draw the deformed body over its edges at rest, and return the factor of displacements.
+    """Draw the deformed body over its edges at rest, and return the displacement scale.
 
-    The displacements are z (n,), the voltages (e,). Colours are the largest principal stress.
+    ``z`` (n,) are the displacements, and ``voltages`` (e,) are the electrode voltages. The colour
+    shows the largest principal stress.
     """
     from kc2spice.bodies.fields import evaluate_at_nodes, largest_principal_stress
 
@@ -148,7 +152,7 @@ def draw_deformed(
 def draw_modes(
     device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
 ) -> Iterator[Panel]:
-    """Yield a panel for each mode, a column of ``columns`` (n, modes)."""
+    """Yield a panel for each mode; each column of ``columns`` (n, modes) is a mode shape."""
     from kc2spice.bodies.fields import evaluate_at_nodes
 
     still = np.zeros(device.drive.shape[1])
@@ -163,7 +167,7 @@ def draw_modes(
 
 
 def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
-    """Corners (elements, vertices, 3) [m] with enlarged displacements, and the factor."""
+    """Return element corners (elements, vertices, 3) [m] with scaled displacements, and a scale."""
     mesh, corners = device.solid.mesh, element_corners(device.solid.mesh)
     moves = moves.reshape(len(corners), -1, 3)[:, : corners.shape[1]]
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
@@ -180,7 +184,7 @@ def element_corners(mesh: Any) -> np.ndarray:
 
 
 def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
-    """Map ``values`` at the nodes of every element on the visible surface.
+    """Return a coloured map of nodal ``values`` on the visible surface of a mesh.
 
     ``corners`` (elements, vertices, 3) [m] are the corners of the elements.
     """
@@ -194,7 +198,8 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
-    # all triples of corners, so that the order of the four corners does not matter
+    # All triples of corners of a face are drawn, so that the order of its four corners has no
+    # effect.
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
@@ -222,7 +227,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
     """Return the vertices (2, edges) of the surface mesh.
 
-    If there are more than ``fine`` lines, only edges between faces at an angle remain.
+    If the mesh has more than ``fine`` lines, only edges between faces at an angle are returned.
     """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:
@@ -233,7 +238,8 @@ def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
     edges = mesh.f2e[:, facets]
-    # the sum of n n' over the faces at an edge has rank one where they lie in one plane
+    # The sum of n n' over the normals n of the faces at an edge has rank one if these faces lie in
+    # one plane.
     spread = np.zeros((mesh.edges.shape[1], 3, 3))
     for edge in edges:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))

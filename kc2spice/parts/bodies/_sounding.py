@@ -1,4 +1,4 @@
-"""Bodies whose faces radiate sound: warnings, neglected effects and the error of their level."""
+"""Bodies whose faces radiate sound: warnings, neglected effects and the error of the level."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ class SoundingBody(LinearBody[FieldKeysT]):
         node: float | None,
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
-        """Return full models on changed supporting rings, by their diameters [m].
+        """Return full models on supporting rings of other diameters, keyed by the diameter [m].
 
-        The ring of a free body is its circle without motion, which has the diameter ``node``.
-        ``changes`` are relative changes of the diameter; rings beyond the body are left out. The
+        The ring of a free body is the nodal circle, which has the diameter ``node``. ``changes``
+        are relative changes of the diameter. Rings that are larger than the body are left out. The
         result is empty for other supports.
         """
         return {}
 
     def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FacingFluid]:
-        """Return the fluid in front of each face, by the name of its port."""
+        """Return the fluid in front of each face, keyed by the name of the port."""
         from kc2spice.parts.bodies._face_response import FacingFluid
 
         result = {}
@@ -89,7 +89,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
     def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
-        """Return the differences of each face from a piston, by the name of its port."""
+        """Return the effects of the assumptions about each face, keyed by the name of its port."""
         result = {}
         for port, facing in self.facing_fluids(part, scene).items():
             levels = self._load_levels(part, scene, port, facing)
@@ -105,7 +105,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_response import MAX_MODES, FaceOfBody
 
         end = float(self.reduction(part, scene).band[1])
-        # a transient excites the first resonance most, and its band does not limit the sound
+        # A transient excites the first resonance most, and has no band of sound.
         count = MAX_MODES if scene.analysis.is_small_signal else 1
         faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
         joined = tuple(item.name for item in faces)
@@ -125,12 +125,12 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def build() -> FaceLevels | None:
-            """Compute the differences on the full model."""
+            """Compute the effects of the assumptions with the full model."""
             face = FaceOfBody(self.device(part, scene), port, facing, joined, load, end, count)
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate() -> FaceLevels | None:
-            """Return the differences from the cache of files, or compute them."""
+            """Return the effects of the assumptions from the cache on disk, or compute them."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
 
@@ -139,7 +139,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: FaceOfBody
     ) -> FaceLevels | None:
-        """Compare a face with a piston, also on rings of other diameters."""
+        """Return the effects of the assumptions about a face, also on rings of other diameters."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
@@ -155,9 +155,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def build(
         self, part: Part[FieldKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Build the model, and warn of faces that do not move like a piston.
+        """Build the model, and warn about faces that do not move like a piston.
 
-        A scene that states this assumption has no warning.
+        If a part at the face states ``motion = "piston"``, no warning is printed.
         """
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
@@ -213,7 +213,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _face_displacements(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the mean displacement [m] of each face whose volume velocity is a result."""
+        """Return the mean displacement [m] of each face with a volume velocity in the results."""
         from kc2spice.bodies.device import area_name
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
@@ -222,7 +222,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             flow = flow_name(part.name, model.ports, port) if port.domain is ACOUSTIC else ""
             area = model.facts.get(area_name(port.name))
             if flow in waves and area:
-                # a volume velocity into the pin moves the face inwards
+                # A positive volume velocity into the pin moves the face inwards.
                 result[port.name] = -integrate_flow(waves, waves[flow]) / area
         return result
 
@@ -250,7 +250,7 @@ def _states_motion(names: Iterable[str], scene: Scene) -> bool:
 def _describe_peak(
     port: str, levels: FaceLevels, waves: Waveforms, displacement: np.ndarray
 ) -> str:
-    """State the largest displacement of a face at its resonance, from the mode and the mean."""
+    """Describe the largest displacement of a face at resonance, from mode shape and mean."""
     place = levels.resonance
     mean = float(np.interp(place, waves.scale.real, np.abs(displacement)))
     return (

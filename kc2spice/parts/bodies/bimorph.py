@@ -2,16 +2,15 @@
 
 Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins).
 
-x runs along the length from the clamp, y along the width, z up. Every layer is a solid of quadratic
-hexahedra, so plate action, the lateral contraction at the clamp and the field inside the layers
-need no theory of beams. Both faces of a piezoelectric layer are completely covered by electrodes.
-Two faces are one electrode if they lie on one conductor, or if two piezoelectric layers touch at
-them. A positive voltage at the anode bends the tip up: layers above the middle are poled to
-contract, those below to stretch.
+x runs along the length from the clamp, y along the width, z up. Every layer consists of quadratic
+hexahedra. The model therefore includes the bending of plates, the lateral contraction at the clamp
+and the field inside the layers, which beam theory neglects. Both faces of a piezoelectric layer are
+completely covered by electrodes. Two faces form one electrode if they lie on the same conductor, or
+if two piezoelectric layers touch at these faces. A positive voltage at the anode bends the tip up:
+the voltage contracts layers above the middle and stretches layers below the middle.
 
-* *series*: anode on top, cathode at the bottom, all between floating;
-* * *parallel*: the levels of electrodes are alternately anode and cathode, and the top is an
-anode.
+* *series*: the anode is on top, the cathode is at the bottom, and all electrodes in between float;
+* *parallel*: from the top down, the electrodes belong alternately to the anode and the cathode.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-# elements along and across the beam at refine = 1
+# Numbers of elements along and across the beam if refine = 1.
 ELEMENTS_ALONG = 20
 ELEMENTS_ACROSS = 4
 GRADING_RATIO = 1.6
 
 
 class BimorphLayer(Section):
-    """One layer, which covers the whole beam."""
+    """Layer that covers the whole beam."""
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     thickness: Thickness = Field(gt=0, description="Thickness of the layer")
@@ -60,8 +59,8 @@ class BimorphKeys(FieldKeys):
     """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
     (on knife edges under both ends), *free*, or *quarter*: clamped at x = 0 and y = 0, with mirror
     planes at the other sides: a quarter of a plate clamped along all edges. ``tip_mass`` is spread
-    over the end face. ``points`` are further ports on the centre line of the top (of the whole
-    plate), by distance from the clamp.
+    over the end face. ``points`` are further ports on the centre line of the top face, given by the
+    distance from the clamp. For a *quarter*, this line is the centre line of the whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam")
@@ -111,8 +110,8 @@ class BimorphKeys(FieldKeys):
 def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> BondedBlocks:
     """Make the layers with electrodes, support, ports and the mass at the tip.
 
-    ``mesh.refine`` divides edges in the plane, and every second one through the thickness: one
-    quadratic element through the thickness represents the bending of a plate.
+    ``mesh.refine`` divides element edges in the plane, and half as finely through the thickness,
+    because one quadratic element through the thickness represents the bending of a plate.
 
     Raises
     ------
@@ -138,8 +137,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         """Return a cross-section of the beam at a position."""
         return (x, x), y, z
 
-    # electrodes from the bottom up; faces of one conductor, or of two ceramics in contact, are one
-    # electrode
+    # Electrodes from the bottom up. Faces of one conductor, or of two ceramics in contact, are one
+    # electrode.
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
@@ -150,8 +149,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     blocks = []
     for k, (one, span) in enumerate(zip(materials, spans, strict=True)):
         above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
-        # a positive voltage makes a field that points down in all layers in series, otherwise in
-        # every other one
+        # A positive voltage causes a downward field in all layers in series, but only in every
+        # second layer in parallel.
         down = series or k not in active or (active.index(k) - len(active)) % 2
         poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)
@@ -161,7 +160,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     fixed = {
         "cantilever": [clamp],
         "clamped": [clamp, ("xyz", end)],
-        # one corner of each edge is clamped, so that the width may change
+        # One corner of each edge is clamped, so that the width can change.
         "simply_supported": [
             ("xz", across(0.0, full_width, (0.0, 0.0))),
             ("z", across(length, full_width, (0.0, 0.0))),
@@ -201,10 +200,10 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
 
 
 def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
-    """Lines along the beam, finer towards clamps, across it and through the layers."""
+    """Return grid lines along the beam (finer towards clamps), across it and through the layers."""
     refine, rows = beam.mesh.refine, beam.rows or 1
     s = np.linspace(0, 1, ELEMENTS_ALONG * refine + 1)
-    if beam.patches:  # each strip has the same number of elements
+    if beam.patches:  # each strip between two lines has the same number of elements.
         s = np.linspace(0, 1, -(-ELEMENTS_ALONG * refine // beam.patches) * beam.patches + 1)
     elif beam.support == "cantilever":
         s = s**GRADING_RATIO

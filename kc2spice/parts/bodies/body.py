@@ -83,7 +83,10 @@ _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
 class FixedKeys(Section):
-    """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
+    """Group whose displacement is zero along some axes.
+
+    In an axisymmetric body, ``x`` is the radial axis.
+    """
 
     group: str = Field(description="Mesh group whose nodes are clamped")
     axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
@@ -95,14 +98,14 @@ class FixedKeys(Section):
 
 
 class PortKeys(Section):
-    """A mechanical or acoustic port.
+    """Mechanical or acoustic port of a body.
 
-    ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
-    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face rigid, with
-    one motion (``x`` … ``rz``) as the port, or without axis all six motions as ``NAME_x`` …
-    ``NAME_rz``; **base* is the acceleration of the support of the body. *face* is the pressure on a
-    face of the surface and the volume that the face displaces. ``at`` names the mesh node nearest
-    to a point instead of a group.
+    The ``kind`` *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
+    points) along ``axis``, with a force that is spread over the group. *rigid* makes a face rigid.
+    One motion (``x`` … ``rz``) of the face is the port; without ``axis``, all six motions are the
+    ports ``NAME_x`` … ``NAME_rz``. *base* is the acceleration of the support of the body. *face* is
+    the pressure on a face of the surface, and the volume that the face displaces. Instead of a
+    group, ``at`` selects the mesh node nearest to a point.
     """
 
     name: Name = Field(description="Name of the port and of its pin")
@@ -138,12 +141,12 @@ class PortKeys(Section):
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Motions of a rigid face that are ports."""
+        """Motions of the rigid face that become ports."""
         return _MOTION_NAMES if self.axis is None else (str(self.axis),)
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Ports of the model for this entry."""
+        """Return the ports of the model for this entry."""
         if self.kind != "rigid":
             return (Port(self.name, _DOMAINS_OF_KINDS[self.kind].port),)
         result = []
@@ -163,7 +166,7 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """A radial or tangential poling, or a poling of each element from a CSV file.
+    """Radial or tangential poling, or the poling of each element from a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an
@@ -181,7 +184,7 @@ class PolingKeys(Section):
 
     @property
     def contradiction(self) -> str:
-        """Reason why the keys state no poling; empty if they state a poling."""
+        """Return the reason why the keys define no poling; empty if they define a poling."""
         if (self.direction is None) == (self.file is None):
             return "state direction or file: one of them"
         if self.file and self.model_fields_set != {"file"}:
@@ -192,7 +195,7 @@ class PolingKeys(Section):
 
 
 class AxesKeys(Section):
-    """Axes of all tensors of a material, where ``poling`` turns only the third axis."""
+    """Axes of all tensors of a material; ``poling`` defines only the third axis."""
 
     z: Vector = Field(
         (0.0, 0.0, 1.0), description="Direction of the third material axis, or axis of a cylinder"
@@ -229,7 +232,7 @@ class AxesKeys(Section):
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation (3, 3) whose columns are the cartesian axes."""
+        """Rotation matrix (3, 3), whose columns are the material axes in cartesian coordinates."""
         first, third = np.asarray(self.x or (1.0, 0.0, 0.0)), np.asarray(self.z)
         third = third / np.linalg.norm(third)
         first = first - third * (first @ third)
@@ -237,7 +240,7 @@ class AxesKeys(Section):
         return np.stack([first, np.cross(third, first), third], axis=-1)
 
     def apply(self, plain: Material) -> Material:
-        """Return the material with its tensors in these axes."""
+        """Return the material with its tensors rotated to these axes."""
         if self.kind == "cartesian":
             return plain.rotated(self.rotation)
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
@@ -246,8 +249,9 @@ class AxesKeys(Section):
 class BodyKeys(MeshKeys):
     """Body from a mesh or CAD file.
 
-    The electrode ``cathode`` (otherwise ``gnd``, ``ground``, or the last) is the return pin of all
-    others. ``floating`` electrodes are equipotential and have no charge.
+    The electrode ``cathode`` is the return pin of all other electrodes; without it, the electrode
+    ``gnd``, ``ground``, or the last electrode is the return pin. ``floating`` electrodes are
+    equipotential and have no charge.
     """
 
     mesh: Annotated[MeshFile, MESH_FIELD]
@@ -283,13 +287,13 @@ class BodyKeys(MeshKeys):
 
     @property
     def reference(self) -> str:
-        """Electrode with the voltage zero, empty without electrodes."""
+        """Name of the electrode with zero voltage; empty without electrodes."""
         last = next(reversed(self.electrodes), "")
         return next((name for name in _REFERENCE_NAMES if name in self.electrodes), last)
 
     @property
     def poling_files(self) -> dict[str, str]:
-        """CSV files of polings by their group."""
+        """CSV files of polings, keyed by the group."""
         result = {}
         for group, item in self.poling.items():
             if isinstance(item, PolingKeys) and item.file is not None:
@@ -352,8 +356,9 @@ def device(
 ) -> FiniteElementModel:
     """Read the mesh, name its groups, and assemble the model.
 
-    The path of the mesh is relative to ``home``. ``refine`` divides the size of the elements. A
-    ``.msh`` is split until its edges are at most 1/refine of their length.
+    The path of the mesh is relative to ``home``. ``refine`` divides the size of the elements. The
+    elements of a ``.msh`` file are split until each edge is at most 1/refine of its original
+    length.
 
     Raises
     ------
@@ -420,9 +425,9 @@ def _make_solid(
 
 
 def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
-    """Turn the material of a group to its axes or its poling.
+    """Rotate the material of a group to the axes or the poling of the group.
 
-    In an axisymmetric body, every poling off its axis turns with the angle.
+    In an axisymmetric body, a poling that is not parallel to the axis rotates with the angle.
 
     Raises
     ------
@@ -499,7 +504,7 @@ def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
 
 
 def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
-    """Return the facets of an acoustic port, which are on the surface of the body.
+    """Return the facets of an acoustic port, which must be on the surface of the body.
 
     Raises
     ------
@@ -522,7 +527,7 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
 def _electrode_nodes(
     solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
-    """Nodes of an electrode, which must lie on a piezoelectric material."""
+    """Return the nodes of an electrode, which must lie on a piezoelectric material."""
     facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
@@ -556,7 +561,7 @@ def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: So
 
 
 def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
-    """Parts (nodes,) of a unit force over the port's group."""
+    """Return the share (nodes,) of each node of a port's group in a unit force."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
         point = np.array(port.at)[solid.axes]
@@ -589,7 +594,7 @@ class Body(MeshedBody[BodyKeys]):
     def directions(
         self, part: Part[BodyKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Axes of the translations and accelerations of the ports."""
+        """Return the axes of the translations and accelerations of the ports."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
             if keys.kind == "face":
@@ -625,7 +630,7 @@ class Body(MeshedBody[BodyKeys]):
         yield from super().notes(part, scene)
 
     def sides(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
-        """Sides of the bounding box of its file [m]."""
+        """Return the side lengths [m] of the bounding box of the mesh file."""
 
         def size() -> list[float]:
             with name_part_in_errors(part.name):

@@ -33,15 +33,15 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
-# number of cells along the largest radius (or half the height) before refinement
+# number of cells along the largest radius, or along half the height, before refinement
 _RADIAL_CELLS = 20
 
 
 class Feedback(Section):
     """Ring or disc of the top electrode that drives the input of a self-oscillating buzzer.
 
-    Data sheets show a tongue-shaped electrode. A ring of the same area represents it, because only
-    the area matters.
+    Data sheets show a tongue-shaped electrode. A ring of the same area represents the tongue,
+    because only the area matters.
     """
 
     inner: Length = Field(
@@ -54,8 +54,10 @@ class Feedback(Section):
 
 
 class DiscLayer(Section):
-    """One disc. ``electrodes`` is the diameter of the electrodes of a layer without metal next to
-    it."""
+    """One circular layer.
+
+    ``electrodes`` is the diameter of the electrodes on faces that touch no metal layer.
+    """
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     diameter: Width = Field(gt=0, description="Outer diameter of the layer")
@@ -97,15 +99,18 @@ class DiscLayer(Section):
 
 
 class Node(Section):
-    """A knife edge under the body."""
+    """Support on a knife-edge ring under the body."""
 
     node: Length = Field(gt=0, description="Diameter of the circle on which the disc rests")
 
 
 class DiscKeys(FieldKeys):
-    """``wiring`` matters with more than one ceramic layer: ``parallel`` connects every second
-    electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and the highest
-    electrode; the electrodes between them float."""
+    """Layers and support of a disc.
+
+    ``wiring`` has an effect with two or more ceramic layers. ``parallel`` connects every second
+    electrode to the cathode, beginning with the lowest electrode. ``series`` uses the lowest and
+    the highest electrode, and the electrodes in between float.
+    """
 
     layers: tuple[DiscLayer, ...] = Field(min_length=1)
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"
@@ -143,7 +148,7 @@ class DiscKeys(FieldKeys):
 
 
 def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
-    """The layers with electrodes, support and port.
+    """Return the bonded layers with electrodes, support and ports.
 
     Raises
     ------
@@ -176,7 +181,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
 
 
 def _face(inner: float, outer: float, height: float) -> Box:
-    """Return a ring at a height."""
+    """Return a circular ring, as a face at a height."""
     return (inner, outer), (height, height)
 
 
@@ -208,7 +213,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
 
 
 def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
-    """Faces of each electrode in order of height; a metal layer is one electrode."""
+    """Return the faces of each electrode in order of height; a metal layer is one electrode."""
     result: list[list[Box]] = []
     last_metal: int | None = None
     heights = [0.0, *(piece.box[1][1] for piece in pieces)]
@@ -253,7 +258,7 @@ def _electrode_faces(
 
 
 def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
-    """Return the fixed axes of the support."""
+    """Return the faces or points of the support with their fixed axes."""
     if disc.support == "free":
         return []
     if isinstance(disc.support, Node):

@@ -1,6 +1,6 @@
 """The part ``heat_body``: a body that conducts and stores heat, with pins of temperature.
 
-Its geometry is a mesh or CAD file with groups, as that of the part ``body``, or a list of layers::
+The geometry is a mesh or CAD file with groups, as for the part ``body``, or a list of layers::
 
     [module]
     part = "heat_body"
@@ -92,28 +92,30 @@ from kc2spice.scene.parttype import find_current_into, register
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.heat import compute_heat_modes
 
-LAYER_ELEMENTS = 4  # elements in each layer
-# ratio of two tolerances: relative to the largest temperature of a pin, and at each frequency
+LAYER_ELEMENTS = 4  # number of elements through each layer
+# Ratio of the tolerance relative to the largest temperature of a pin to the tolerance at each
+# frequency.
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300
-RUN_POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
+# end of the default band, as a multiple of 1 / (duration of the run)
+RUN_POINTS = 1e3
 
 ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
 class Geometry:
-    """Solid of a body with its groups, by name and by kind."""
+    """Solid of a body, with lookups of its groups by name and kind."""
 
     def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
         self.solid = solid
         self._group = group
 
     def faces(self, name: str, where: str) -> np.ndarray:
-        """Faces of a group."""
+        """Return the faces of a group."""
         return self._group(name, where, 1).members
 
     def shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
-        """Shares of nodes (nodes,) in the heat of a source."""
+        """Return the share (nodes,) of each node in the heat of a source."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
@@ -130,8 +132,8 @@ def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -
     Raises
     ------
     UsageError : a file that cannot be read; a group that is missing, empty, or of the wrong
-        dimension; elements without material or with two; faces of two temperatures; materials
-        that do not touch at an interface.
+        dimension; elements without a material or with two materials; faces with two prescribed
+        temperatures; materials that do not touch at an interface.
     """
     with name_part_in_errors(where):
         if keys.layers:
@@ -201,7 +203,7 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
 
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
-    """Return a line through the layers, from the bottom up, with double nodes at its joints."""
+    """Return a line mesh through the layers, from the bottom up, with double nodes at joints."""
     layers, count = keys.layers[::-1], LAYER_ELEMENTS * keys.refine
     thickness = np.array([layer.thickness for layer in layers])
     bottoms = np.concatenate([[0.0], np.cumsum(thickness)])
@@ -294,7 +296,7 @@ dc = "1 W"
             yield from find_mesh_problems(part, scene)
 
     def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> Rest:
-        """Return the paths of steady heat flow: to the pin ambient, or among the pins."""
+        """Return the paths of steady heat flow: to the pin ``ambient``, or between other pins."""
         rest = super().at_rest(part, scene)
         if part.keys.leads_away:
             return rest
@@ -302,11 +304,11 @@ dc = "1 W"
         return Rest(tuple((pin, first) for pin in others))
 
     def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> Rest:
-        """Return the paths of heat, which do not depend on the built model."""
+        """Return the paths of heat, which are the same with and without the built model."""
         return build.scene.records[part.name].rest
 
     def default_band_end(self, scene: Scene) -> float:
-        """Return :data:`RUN_POINTS` divided by the duration of the run; heat has no resonance."""
+        """Return :data:`RUN_POINTS` divided by the duration of the run: heat has no resonance."""
         return RUN_POINTS / scene.stop
 
     def limit_band(
@@ -315,7 +317,7 @@ dc = "1 W"
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Limit a band that the user did not state to what the mesh resolves."""
+        """Limit a default band to the highest frequency that the mesh resolves."""
         low, high = band
         if key["limited"]:
             high = min(high, full().facts[MESH_LIMIT_NAME])
@@ -362,8 +364,9 @@ dc = "1 W"
     ) -> LinearModel:
         """Reduce the model with prescribed temperatures of isothermal faces and behind films.
 
-        A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
-        tolerance there. The error is then relative to the largest temperature of each pin.
+        At high frequencies, the temperature of a pin behind thick insulation is so small that
+        rounding errors exceed the tolerance. The error is then relative to the largest temperature
+        of each pin.
         """
         prescribed_ports = self.prescribed_ports(part, model)
         tolerance = aims["tolerance"]
@@ -375,14 +378,14 @@ dc = "1 W"
         return _reduce_warm_or_cold(part, aims["norm"], reduce)
 
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
-        """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
+        """Return the ports with prescribed temperatures: isothermal faces, and fluids of films."""
         known = _prescribed_names(part)
         return [*filter(known.__contains__, names_of(model.ports))]
 
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
         """Reduce the models over ranges of films and other keys.
 
-        The prescribed temperatures and the norm are those of :meth:`reduce_body`.
+        The prescribed temperatures and the norm are the same as in :meth:`reduce_body`.
         """
         from kc2spice.rom.heat_ranges import HeatReduction
 
@@ -396,7 +399,7 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Return the model with functions of the parameters for its thermal resistances."""
+        """Return the model, with thermal resistances as functions of netlist parameters."""
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
             return model
@@ -408,7 +411,7 @@ dc = "1 W"
         return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
-        """Results of its ports, with the heat flow of ports that one part is joined to."""
+        """Return the results of the ports; a port joined to one part has its heat flow."""
         result = dict(super().vectors(part, build))
         for port in self.used_ports(part, build.scene):
             flow = find_current_into(part, port.terminals[0], build)
@@ -419,7 +422,7 @@ dc = "1 W"
     def metrics(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the thermal resistances of its ports, and the hottest spot of each material."""
+        """Return the thermal resistances of ports, and the peak temperature of each material."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
             if name.startswith(RESISTANCE_PREFIX):
@@ -484,12 +487,13 @@ dc = "1 W"
             heat = self.device(part, build.scene)
             return waves, recover_temperatures(heat, waves["time"], flows)
 
-        # The identity of the waves is a key for as long as the result contains them.
+        # The identity of ``waves`` is a valid key while the stored result contains a reference to
+        # ``waves``.
         kind = f"temperatures of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
     def neglected(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
-        """Yield the temperature dependence of the materials and the lateral heat flow."""
+        """Yield the neglected effects: temperature-dependent materials, and lateral heat flow."""
         yield from super().neglected(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")
@@ -507,9 +511,9 @@ def _prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
 def _reduce_warm_or_cold(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
-    """Reduce in a norm, otherwise relative to the largest temperature of each pin.
+    """Reduce in a norm; if this fails, reduce relative to the largest temperature of each pin.
 
-    ``reduce(norm, share)`` reduces to this share of the tolerance.
+    ``reduce(norm, share)`` reduces the model to ``share`` times the tolerance.
     """
     try:
         return reduce(norm, 1.0)
@@ -537,14 +541,14 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 
 def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
-    """Yield ``Zth(t)``: the temperature rise of each port for a step of 1 W into it alone."""
+    """Yield the plot of ``Zth(t)``: the temperature rise of each port for a step of 1 W into it."""
     modes = compute_heat_modes(model)
     times = modes.resistance * modes.capacity
     moving = times[(times > 0) & (times < 1 / LEAK_RATE)]
     if not moving.size:
         return
     t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_FREQUENCIES)
-    with np.errstate(over="ignore"):  # a mode without heat capacity has no transient
+    with np.errstate(over="ignore"):  # A mode without heat capacity has no transient.
         settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
     curves = []
     for k, port in enumerate(modes.ports):
@@ -558,14 +562,14 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
 def _draw_field(
     figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
 ) -> Iterator[Figure]:
-    """Yield a picture of temperature rises (nodes,) [K] on the surface, or over the height."""
+    """Yield a picture of the temperature rises (nodes,) [K] on the surface, or over the height."""
     geometry = heat.solid.geometry
     mesh, title = geometry.mesh, f"Temperatures in {name}"
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        # the curve is drawn for each element, because the temperature jumps at a joint with a
-        # resistance
+        # The curve is drawn for each element, because the temperature jumps at a joint with a
+        # resistance.
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
         nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)

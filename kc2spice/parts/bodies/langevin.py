@@ -1,4 +1,4 @@
-"""The part ``langevin``: masses, ceramic rings of alternating poling, and the bolt through them.
+"""The part ``langevin``: masses, ceramic rings of alternating poling, and a central bolt.
 
 Touching pieces are bonded. The bolt is bonded to both masses along its thread, but not to the
 rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
@@ -41,7 +41,7 @@ _RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
 
 
 class Piece(Section):
-    """Keys that all pieces have."""
+    """Keys that all pieces of the transducer have."""
 
     material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
     quality: Ratio | None = Field(
@@ -50,14 +50,14 @@ class Piece(Section):
 
 
 class Cylinder(Piece):
-    """One step of a mass."""
+    """One cylindrical step of a front or back mass."""
 
     diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
     length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
 
 
 class Rings(Piece):
-    """``count`` equal rings (even, so that both masses are cathodes)."""
+    """Stack of ``count`` equal rings; an even ``count`` makes both masses cathodes."""
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
@@ -76,8 +76,10 @@ class Rings(Piece):
 
 
 class Bolt(Piece):
-    """The bolt along the axis; it reaches ``depth`` into the front mass and through the whole back
-    mass. The head of the bolt, if any, is at the end of the back mass."""
+    """Bolt along the axis, which passes through the back mass and ends in the front mass.
+
+    ``depth`` is the depth in the front mass. A head of the bolt is at the end of the back mass.
+    """
 
     diameter: Width = Field(gt=0, description="Diameter of the shank of the bolt")
     depth: Width | None = Field(
@@ -102,7 +104,7 @@ class Bolt(Piece):
 
 
 class LangevinKeys(FieldKeys):
-    """The lists of masses begin at the rings."""
+    """Keys of a bolted transducer; the lists of masses begin at the rings."""
 
     front: tuple[Cylinder, ...] = Field(min_length=1)
     back: tuple[Cylinder, ...] = Field(min_length=1)
@@ -168,8 +170,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
 
 
 def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
-    """Rings from z = 0 upwards, the front mass above, the back mass below, and the bolt in their
-    holes."""
+    """Return the rings from z = 0 upwards, the masses above and below them, and the bolt."""
     result: list[Block] = []
 
     def add(
@@ -235,7 +236,7 @@ stop = "100 kHz"
         return f"support is {part.keys.support}, ideal"
 
     def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
-        """Yield the preload of the bolt and the compliance of the joints."""
+        """Yield the neglected effects: preload of the bolt, and compliance of the joints."""
         yield from super().neglected(part, scene)
         why = "pieces are bonded and free of stress at rest"
         yield Neglected(

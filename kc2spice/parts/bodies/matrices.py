@@ -24,11 +24,11 @@ from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-LINE_HEIGHT = 0.02  # drawn height of a line of nodes, relative to its width
+LINE_HEIGHT = 0.02  # drawn height of a mesh whose nodes lie on one line, relative to its width
 
 
 class MatricesKeys(LinearKeys):
-    """Files beside the scene; the TOML file of the matrices names the ports."""
+    """Matrix files beside the scene; the TOML file of the matrices names the ports."""
 
     file: FileName = Field(
         description="Matrix file in the scene's folder, or the common NAME of several matrix files"
@@ -54,7 +54,7 @@ class Matrices(LinearBody[MatricesKeys]):
     def directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Directions that the sidecar states by ``dof`` or ``axis``.
+        """Return the port directions that the sidecar states by ``dof`` or ``axis``.
 
         A port that is a column of B has no direction.
         """
@@ -72,7 +72,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
 
     def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
-        """Return a hash of the content of each file."""
+        """Return a hash of the content of each matrix file."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ class Matrices(LinearBody[MatricesKeys]):
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
-        """Return the model of the files of a part."""
+        """Return the model from the matrix files of a part."""
         return _read(*self._source(part, scene), str(self._stamps(part, scene)))
 
     def _source(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Path, Path | None]:
@@ -110,7 +110,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
-    """Read a model from its files."""
+    """Read a model from its files; ``stamps`` are hashes of the files, for the cache of results."""
     return read_model(path, sidecar)
 
 

@@ -44,22 +44,23 @@ from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
-# Mesh and solver modules are imported on use: most runs find their models in the cache.
+# The modules of meshes and solvers are imported at first use, because most runs read models from
+# the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped import FiniteElementModel
 
-DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio of 1 %
-# Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
-# add up:
-# launch velocities of chips damped by 0.01 to 0.1 % have errors up to 2.6e-4 at the reltol for
-# chips of 1 %.
+DAMPING_FREQUENCY = 250e3  # Hz, frequency at which the paper's chip has a damping ratio of 1 %
+# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring through a kick, so that the errors
+# of time steps add up. With the reltol for a damping ratio of 1 %, launch velocities of chips with
+# 0.01 to 0.1 % have errors up to 2.6e-4.
 RINGING = 4e-3
 UNDAMPED = 2e-4
-# factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
+# Factor on reltol, with which kicks of 40 to 60 V are as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
-# The same for a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
-# every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
+# Factor on reltol for a kick downwards: the chip leaves the sphere, rings, and strikes the sphere
+# at a phase to which the errors of all steps contribute. For -100 V, the error is 1.2e-2 at reltol
+# 1e-4, 6e-4 at 1e-6, and 1.1e-4 at 1e-7.
 DOWNWARDS = 2e-3
 SLOWER = 0.1
 OVERSHOOT = 2.0  # a sudden load causes twice the static displacement of an elastic body
@@ -78,14 +79,15 @@ MOUNTING_TEXTS = {  # descriptions of the values of the key mounting
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30
-# Keys that the FE model depends on: pulse, driver and electrical boundary act on the circuit.
+# Keys that determine the finite-element model; pulse, driver and electrical boundary only affect
+# the circuit.
 CHIP_KEYS = set(Chip.model_fields)
-# Keys that do not change the paper's chip.
+# Keys that have no effect on the model of the paper's chip.
 FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class Drive(Section):
-    """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
+    """Kick pulse that rises from ``start`` within ``edge``; ``width`` refers to half height."""
 
     voltage: Voltage = Field(100.0, description="Voltage of the pulse")
     width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
@@ -187,7 +189,7 @@ class PiezoStack(MeshedBody[Stack]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the rings up to the last one that the scene needs, and the anode."""
+        """Return the anode, and all rings up to the last ring that the scene needs."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
@@ -243,10 +245,11 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield tighter tolerances: the trapezoidal rule's phase error grows while a mode rings.
+        """Yield tighter tolerances, because the trapezoidal rule's phase error grows with ringing.
 
-        A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V the
-        relative error of one setting is ten times that at 100 V. This error falls as reltol^0.55.
+        A low kick closes fewer contact rings, and its launch depends more on every time step. From
+        40 to 60 V, the relative error at one setting is ten times the error at 100 V. The error is
+        proportional to reltol^0.55.
         """
         if not scene.of("contact"):
             return
@@ -254,8 +257,8 @@ class PiezoStack(MeshedBody[Stack]):
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # Parts other than sources at the anode may slow down any kick: 0.67 m/s behind an
-            # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
+            # Parts other than sources at the anode can slow down a kick. Behind an amplifier of 5
+            # A, the launch velocity is 0.67 m/s, with an error of 1.5e-3 at the settings for 1 m/s.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _retracts_first(part):
@@ -265,11 +268,11 @@ class PiezoStack(MeshedBody[Stack]):
         yield Numerics(what, MAX_TIME_STEP, decides=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
-        """Return weights of the modes; a ringing chip strikes the sphere after a low kick."""
+        """Return the weights of the modes; after a low kick, a ringing chip hits the sphere."""
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
-        """Yield the largest free stroke, which limits the depth of a contact."""
+        """Yield the largest free stroke, which limits the indentation of a contact."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
@@ -303,8 +306,8 @@ class PiezoStack(MeshedBody[Stack]):
     def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
         """Return the stated reduction, or a default.
 
-        The default of the paper's chip is the paper's order. The default of other stacks is a
-        tolerance over a band in proportion to the reciprocal height.
+        For the paper's chip, the default is the order in the paper. For other stacks, the default
+        is a tolerance over a band whose upper end is proportional to the reciprocal of the height.
         """
         specified = part.keys.rom or scene.rom
         if not specified.is_default:
@@ -352,7 +355,7 @@ class PiezoStack(MeshedBody[Stack]):
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = pressure_nodes(part, build.scene), build.scene
-        # the mesh of the chip does not resolve these fields
+        # The mesh of the chip does not resolve these fields.
         if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, stresses_under_force
 
@@ -407,9 +410,10 @@ class PiezoStack(MeshedBody[Stack]):
 
 
 def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
-    """Speed [m/s] of a kick: the free stroke over ``4 H / c``, or over a longer edge of its pulse.
+    """Return the speed [m/s] of a kick: free stroke divided by ``4 H / c``.
 
-    The speed is None without a voltage.
+    H is the height and c is the speed of sound. A longer edge of the pulse replaces ``4 H / c``.
+    The result is None without a voltage.
     """
     voltage = highest_voltage(part, scene)
     if not voltage:
@@ -423,7 +427,7 @@ def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
 
 
 def _retracts_first(part: Part[Stack]) -> bool:
-    """Whether the pulse moves the top face down before it rises."""
+    """Return whether the pulse moves the top face down before the face rises."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
@@ -446,7 +450,10 @@ def describe_mounting(keys: Chip) -> str:
 
 
 def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
-    """Pressure basis on the top, as wide as the rings, if a contact uses pressure."""
+    """Return the pressure basis on the top face; None if no contact uses pressure.
+
+    The basis is as wide as the rings.
+    """
     for contact in scene.of_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import choose_pressure_basis
@@ -456,14 +463,14 @@ def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | N
 
 
 def ring_radii(keys: Chip) -> np.ndarray:
-    """Radii [m] of the chip's rings, ring0 (the centre node) first."""
+    """Return the radii [m] of the chip's rings, beginning with ring0, the centre node."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
 def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
-    """Return the number of rings that are ports, ring0 first.
+    """Return the number of rings that are ports, beginning with ring0.
 
-    The last ring is one that another part or a probe needs. All rings are ports if the stack is the
+    Another part or a probe needs the last of these rings. All rings are ports if the stack is the
     only part.
     """
     if len(scene.parts) == 1 or scene.ports == "all":
@@ -492,7 +499,7 @@ def _ring_number(part: Part[Stack], name: str) -> int:
 
 
 def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
-    """Largest voltage [V] of the drive; 0 if the anode is not driven."""
+    """Return the largest voltage [V] of the drive; 0 if the anode is not driven."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
@@ -506,16 +513,16 @@ def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
 
 
 def free_stroke(keys: Chip, voltage: float) -> float:
-    """Static stroke [m] of the free stack, ``layers |d voltage|`` with ``d = e C^-1``.
+    """Return the static stroke [m] of the free stack, ``layers |d voltage|``, ``d = e C^-1``.
 
-    The constant is d33, or d15 of a stack that shears.
+    The constant d is d33, or d15 if the stack deforms in shear.
     """
     axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
 def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
-    """Return the local compliance of a stack, built or from the cache."""
+    """Return the local compliance of a stack: compute it, or read it from the cache."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})

@@ -1,16 +1,17 @@
-"""Stretching force of beams and plates with fixed edges: bending lengthens and stiffens them.
+"""Stretching force of beams and plates with fixed edges, which bending lengthens and stiffens.
 
 For a beam of length l with fixed ends, ``e = int w'^2 dx / 2`` is the elongation by bending, and
 ``stiffness e^2 / 2 + tension e`` is its energy: stiffness = E A / l (S. D. Senturia, Microsystem
 Design, 2001, chapter 10). The deflection is given by its means w_k over a row of equal strips of
 width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12
-d)``, exact for cubics, and beyond a clamp w is its mirror image.
+d)``, which is exact for cubics. Beyond a clamp, w is the mirror image of w before the clamp.
 
-For a plate clamped along all edges, with rows of patches as its face, the same holds with ``e =
-int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger, J.
-Appl. Mech. 22 (1955) 465, who neglects the second invariant of the strains in the plane. The
-squares of means lack a twelfth of the squared differences between rows. At a mirror plane w is
-even as at a clamp, so a quarter of a plate has its own length, width and stiffness.
+For a plate clamped along all edges, with rows of patches as its face, the same energy holds with
+``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger,
+J. Appl. Mech. 22 (1955) 465, who neglects the second invariant of the strains in the plane. The
+squares of means lack a twelfth of the squared differences between rows. At a mirror plane, w is
+even, as at a clamp. A model of a quarter of a plate therefore uses length, width and stiffness of
+the quarter.
 """
 
 from __future__ import annotations
@@ -31,8 +32,11 @@ from kc2spice.scene.parttype import register
 
 
 class StretchKeys(Section):
-    """``a`` is a beam with a row of patches, clamped at both ends, or at least three ports; or a
-    plate clamped along all edges with ``rows`` of patches, one row after the other.
+    """Keys of the stretching force of a body.
+
+    ``a`` is a beam with a row of patches, clamped at both ends, or a list of at least three ports.
+    ``a`` can also be a plate clamped along all edges, with ``rows`` of patches, one row after the
+    other.
     """
 
     a: str | tuple[str, ...] = Field(
@@ -57,7 +61,7 @@ class StretchKeys(Section):
 
 
 class Stretch(PatchedPart[StretchKeys]):
-    """The part type, whose keys determine the number of branches."""
+    """Part type ``stretch``, whose keys determine the number of branches."""
 
     def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
@@ -82,7 +86,7 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare(count: int, rows: int) -> Declaration:
-    """Declare the stretching of ``count`` patches in ``rows`` rows."""
+    """Declare the stretching of a body with ``count`` patches in ``rows`` rows."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
