@@ -11,8 +11,10 @@ from kc2spice.core.quantities import Current, Length, Section, Time, si
 
 
 class Control(Section):
-    """PID with clamped output: equal currents in both coils, with opposite sign in the lower coil
-    (paper 2.4)."""
+    """PID controller with limited output: opposite currents of equal size in both coils.
+
+    See section 2.4 of the paper.
+    """
 
     setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere")
     kp: Annotated[float, si("A/m")] = Field(
@@ -50,6 +52,6 @@ class Control(Section):
 
     @property
     def switching_times(self) -> tuple[tuple[float, float], ...]:
-        """Times [s] of switching and the states from then on: 1 enabled, 0 disabled."""
+        """Return the switching times [s] and the state after each one: 1 enabled, 0 disabled."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
         return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

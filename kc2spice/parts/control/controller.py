@@ -1,4 +1,4 @@
-"""A controller that is a Python function of sampled inputs.
+"""Controller that is a Python function of sampled inputs.
 
 The output of the controller is constant between the samples. The function is defined in a file
 beside the scene, which runs only with ``--trust``. A Python program may pass the function instead:
@@ -37,10 +37,10 @@ Function = Callable[[float, Mapping[str, float]], float]
 
 
 class ControllerKeys(Section):
-    """``function(time, inputs) -> output``, called every ``period``, inputs and output in SI.
+    """Keys of a sampled controller, ``function(time, inputs) -> output`` in SI units.
 
-    ``output`` is a voltage [V] or a current [A] out of ``out``; it changes at the time ``delay``
-    after the sample.
+    The function is called once in each ``period``. ``output`` is a voltage [V], or a current [A]
+    out of the pin ``out``. The output changes at the time ``delay`` after the sample.
     """
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")

@@ -39,19 +39,21 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.header import render_library
 
-SENSOR_GAIN = 2e3  # V/m, 5 V at the paper's set point
-SENSE_RESISTANCE = 100.0  # Ohm, 10 V at the paper's 0.1 A
-# V, largest command of the output stage, well within the signal amplifiers' rails
+SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
+SENSE_RESISTANCE = 100.0  # Ohm; the voltage is 10 V at the paper's current limit of 0.1 A
+# V, largest command of the output stage, far below the supply voltage of the signal amplifiers
 MAX_COMMAND = 10.0
 SUPPLY_VOLTAGE = 400.0  # V, supply of the output stage; higher if the coils require it
 SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output
-ENABLE_EDGE = 1e-8  # s, edge of the enabling signal
+ENABLE_EDGE = 1e-8  # s, duration of the edges of the enabling signal
 DISCHARGE_TIME = 1e-6  # s, time constant in which the integral of a disabled controller decays
-# fraction of time at the current limit above which the controller has no effect
+# Largest fraction of the run during which the current may be at its limit, where the controller has
+# no effect.
 MAX_SATURATED_SHARE = 0.9
 
 
-# Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.
+# Gains that are parameters of the netlist. A gain of zero has no amplifier stage, so it is not a
+# parameter.
 GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
@@ -61,7 +63,7 @@ GAIN_PARAMETERS = (
 
 
 def _terminals(output: bool) -> tuple[Terminal, ...]:
-    """Pins of a controller that has an output stage or controls a driver."""
+    """Return the pins of a controller with an output stage, or of a controller of a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),
@@ -74,11 +76,11 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
 def declare_control(control: Control, *, output: bool = True) -> Declaration:
     """Declare the law of the controller.
 
-    It is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
-    ``drive`` and ``sense``, with ``e = setpoint - y`` as the voltage of a sensor. Without
-    ``output`` it is a voltage at ``command``, 100 V for each ampere. The integral is constant while
-    the current is limited. Integral and current are zero until ``enable`` is 1 V. A gain of zero
-    has no term and no parameter.
+    The current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)``
+    between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor voltage. Without
+    ``output``, the result is a voltage at ``command``, 100 V for each ampere. The integral is
+    constant while the current is limited. Integral and current are zero until ``enable`` is 1 V. A
+    gain of zero has no term and no parameter.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -95,7 +97,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     gains = [gain for gain in terms if getattr(control, gain)]
     target = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
-    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # behind an ohm
+    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # behind a resistor of 1 Ohm
     if output:
         ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
         content = f"0.5*sensed^2 - {target}*drop"
@@ -124,7 +126,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
 
 
 def _parameters(control: Control) -> Iterator[Param]:
-    """Parameters that an instance may set."""
+    """Return the parameters that an instance of the subcircuit can set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAIN_PARAMETERS:
         if getattr(control, gain):
@@ -140,13 +142,13 @@ def pid_subcircuit(
     load: float = 0.0,
     name: str = "pid",
 ) -> Subcircuit:
-    """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
+    """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
 
-    The output stage of amplifiers measures with a resistor that gives 10 V at the current limit, at
-    most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives the
-    current limit through the ``load`` [Ohm] of the coils with a margin for current changes.
-    Without the output stage, the output of the controller is ``command``, with 100 V for each
-    ampere of the set current.
+    The inputs are the height ``y`` and ``enable``. The output stage measures its current with a
+    resistor of at most 100 Ohm, whose voltage is 10 V at the current limit, within the rails. The
+    supply voltage is a multiple of 100 V. It drives the current limit through the ``load`` [Ohm] of
+    the coils, with a margin for changes of the current. Without the output stage, the output of the
+    controller is ``command``, with 100 V for each ampere of the set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":
@@ -317,25 +319,26 @@ class Pid(PartType[Control]):
 
 
 def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
-    """Coils that the controller drives."""
+    """Return the coils that the controller drives."""
     return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
 
 
 def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
-    """Whether the output is the pin ``command`` for another circuit with the coils."""
+    """Return whether the output is the pin ``command``, and another circuit drives the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_coils(part, scene).keys.driver)
 
 
 def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
-    """Time average over the last twentieth of the run."""
+    """Return the time average over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
 
 
 def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Time of the last entry into ``target`` ± ``band``; None if the last value is outside of the
-    band.
+    """Return the time of the last entry of ``y`` into ``target`` ± ``band``.
+
+    The result is None if the last value is outside the band.
     """
     outside = np.abs(y - target) > band
     if outside[-1]:

@@ -1,4 +1,4 @@
-"""A position sensor with bandwidth, offset and noise, between a height and a controller."""
+"""Position sensor with bandwidth, offset and noise, between a height and a controller."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
-VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # volts of a pin for one metre
+VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, voltage of a displacement pin for one metre
 
 
 class SensorKeys(Section):
-    """Reads a position: one pole, an offset, white noise."""
+    """Keys of a position sensor with one pole, an offset and white noise."""
 
     bandwidth: Frequency = Field(
         1e6, gt=0, description="Bandwidth of the sensor, which is a first-order low-pass filter"
@@ -52,7 +52,7 @@ class SensorKeys(Section):
 
 
 def sensor_declaration(keys: SensorKeys) -> Declaration:
-    """Declare the noiseless output: the position, filtered by one pole, plus the offset."""
+    """Declare the noise-free output: the position, filtered by one pole, plus the offset."""
     return Declaration(
         "sensor",
         "position sensor",
@@ -114,7 +114,8 @@ dc = "1 um"
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
-            # white noise up to the bandwidth, divided by the noise voltage of 1 Ohm
+            # White noise up to the bandwidth, as a multiple of the noise voltage of a resistor of 1
+            # Ohm.
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise of 1 Ohm at 27 C times a gain",
@@ -132,7 +133,7 @@ dc = "1 um"
         return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
-        """Return the initial height of the sensed sphere as the state of the sensor."""
+        """Return the state of the sensor at t = 0, the initial height of the measured sphere."""
         start = sphere.initial_height(part, "of", build.scene)
         if start is None:
             return {}

@@ -35,16 +35,16 @@ SOUND_SIGN = "; a cone that moves this way presses air out of front and draws it
 AIR_NOTE = "part of mms that is the air load of radiation parts"
 _AMBIENT = "ambient"
 COIL = "coil"  # current of a voice coil between plus and the node of the eddy currents
-_EDDY, _CREEP = "eddy", "creep"  # inner nodes behind the voice coil, and within the suspension
+_EDDY, _CREEP = "eddy", "creep"  # Inner nodes: behind the voice coil, and within the suspension.
 # ln(1 + 2 pi fs / s) at s = 2 pi fs j
 _CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
 
 
 def baffle_air_mass(area: float) -> float:
-    """Mass [kg] of the air that a piston in a baffle moves on one side at low frequencies.
+    """Return the air mass [kg] that a piston in a baffle moves on one side at low frequencies.
 
-    ``8/3 rho a^3`` with the radius a (L. E. Kinsler et al., Fundamentals of Acoustics, 2000,
-    section 7.5).
+    The mass is ``8/3 rho a^3`` with the radius a (L. E. Kinsler et al., Fundamentals of Acoustics,
+    2000, section 7.5).
     """
     return 8 / 3 * AIR_DENSITY * (area / math.pi) ** 1.5
 
@@ -62,7 +62,7 @@ class SemiInductance(NamedTuple):
 class SpeakerParameters:
     """Parameters of a driver in SI.
 
-    ``mmd`` is the mass without air; it is None if the area of the cone is not known.
+    ``mmd`` is the moving mass without air, None if the area of the cone is not known.
     """
 
     fs: float
@@ -85,8 +85,8 @@ class SpeakerParameters:
     def creep_resistance(self) -> float:
         """Mechanical resistance of the creep at fs [N s/m].
 
-        ``-Im / (2 pi fs cms Re)`` of ``1 + creep ln(1 - j)``, since ``1/(s c(s))`` has the
-        reactance of ``cms`` at fs.
+        The resistance is ``-Im(z) / (2 pi fs cms Re(z))`` with ``z = 1 + creep ln(1 - j)``, because
+        ``1/(s c(s))`` has the reactance of ``cms`` at fs.
         """
         grown = 1 + self.creep * _CREEP_AT_FS
         return -grown.imag / grown.real * TWO_PI * self.fs * self.mms
@@ -94,7 +94,7 @@ class SpeakerParameters:
 
 @dataclass
 class _Terms:
-    """Branches and terms of energies that effects contribute to the declaration of a driver."""
+    """Branches and energy terms that single effects add to the declaration of a driver."""
 
     branches: list[Branch] = field(default_factory=list)
     energy: list[str] = field(default_factory=list)
@@ -118,7 +118,10 @@ def _join_terms(*terms: str) -> str:
 
 
 def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: RelaxationLadder) -> None:
-    """Add the paths of eddy currents: ``le``, ``rss`` and those of ``1/(ke sqrt(s))``."""
+    """Add the paths of eddy currents:
+
+    ``le``, ``rss`` and the ladder of ``1/(ke sqrt(s))``.
+    """
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
     notes = {
@@ -133,8 +136,8 @@ def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Relaxation
             terms.params.append(positive_parameter(name, value, unit, notes[name]))
     if semi.leb:
         terms.coenergy.append(f"0.5*leb*{COIL}^2")
-    # The sum of conductances and of inverse inductances: two inductors in parallel would leave the
-    # distribution of a constant current undetermined.
+    # Parallel inductors become one inductor, because the distribution of a constant current between
+    # two inductors would be undetermined.
     conductances = [f"{ladder.constant!r}/ke"] * bool(semi.ke) + ["1/rss"] * bool(semi.rss)
     inverses = [f"{ladder.integral!r}/ke"] * bool(semi.ke) + ["1/le"] * bool(semi.le)
     terms.constants["r_fast"] = f"1/({_join_terms(*conductances)})"
@@ -144,7 +147,8 @@ def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Relaxation
     if not semi.ke:
         return
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # weight corner / (ke (s + corner)): the resistance ke / weight, and L = R / corner
+        # The term weight corner / (ke (s + corner)) is a resistance R = ke / weight in series with
+        # L = R / corner.
         terms.constants[f"r_eddy{k}"] = f"ke/{weight!r}"
         terms.constants[f"l_eddy{k}"] = f"r_eddy{k}/{corner!r}"
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
@@ -153,7 +157,8 @@ def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Relaxation
 def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
     """Add the suspension: the compliance c0 and the elements of creep in series.
 
-    The displacement of each inner node is the stretch of one element, a spring beside a damper.
+    The displacement of each inner node is the elongation of one element: a spring in parallel with
+    a damper.
     """
     terms.params.append(
         positive_parameter("creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)")
@@ -170,7 +175,8 @@ def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
     stretches = [f"x{k}" for k in range(1, len(nodes) + 1)]
     terms.energy.append(f"0.5*({' - '.join(['x', *stretches])})^2/c0")
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # c0 creep weight corner / (s + corner), with s relative to 2 pi fs
+        # The term of the compliance is c0 creep weight corner / (s + corner), with s relative to 2
+        # pi fs.
         terms.constants[f"c_creep{k}"] = f"c0*creep*{weight!r}"
         terms.constants[f"r_creep{k}"] = f"1/({corner!r}*omega*c_creep{k})"
         terms.branches.append(displacement(f"x{k}", nodes[k - 1], "frame", f"force_x{k}"))
@@ -181,8 +187,8 @@ def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
 def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
     """Add acoustic pins: the cone is an ideal transformer with the ratio ``sd``.
 
-    The coenergy of a pressure is ``sd x p`` on the rear, and the negative of it on the front, where
-    the cone presses air out.
+    The coenergy of a pressure is ``sd x p`` on the rear, and ``-sd x p`` on the front, where the
+    cone presses air out.
     """
     terms.params.append(
         positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
@@ -197,7 +203,7 @@ def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
 def motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
-    """Voice coil, suspension and acoustic pins, without the mass of the cone."""
+    """Declare voice coil, suspension and acoustic pins, without the mass of the cone."""
     more, semi, creeps = _Terms(), driver.semi, driver.creep > 0
     if semi:
         _add_semi_inductance(more, semi, semi_inductance_ladder())
@@ -234,17 +240,17 @@ def motor(
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign=SIGN + SOUND_SIGN * bool(sides),
         inner=tuple(more.inner),
-        # the sound follows from the velocity, because two numerical derivatives of the displacement
-        # are inaccurate
+        # The sound is computed from the velocity, because two numerical derivatives of the
+        # displacement would be inaccurate.
         velocities={"x": "speed_m"} if sides else {},
     )
 
 
 def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
-    """The cone, whose mass has separate nodes in the netlist of the motor.
+    """Declare the mass of the cone, which has separate nodes in the netlist of the motor.
 
-    ``air`` [kg] is the share of ``mass`` that joined parts of type radiation contain. ``added``
-    [kg] is a further mass that is fixed to the cone.
+    ``air`` [kg] is the part of ``mass`` that joined parts of type radiation already contain.
+    ``added`` [kg] is a further mass on the cone.
     """
     moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
     if air:

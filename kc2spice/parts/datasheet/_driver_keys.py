@@ -26,14 +26,14 @@ from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import ConductorKeys
 
 AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
-# Unknowns with start values of the iteration in SI: a common woofer of 17 cm.
+# Unknowns with start values of the iteration in SI, from a common woofer of 17 cm.
 AREA_KEYS = ("sd", "vas", "mmd")  # keys whose relations contain the area of the cone
 EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
 Area = Annotated[float, si("m2")]
 
 
 class LoudspeakerKeys(ConductorKeys, NumberedKeys):
-    """Values of a data sheet that determine the driver; further values must agree with them.
+    """Values of a data sheet that determine the driver; redundant values must agree.
 
     ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
@@ -102,7 +102,7 @@ DRIVER_UNITS = {
     "fs": "Hz", "re": "Ohm", "qms": "", "qes": "", "qts": "", "bl": "N/A", "mms": "kg",
     "cms": "m/N", "rms": "N s/m", "sd": "m2", "vas": "m3", "zmax": "Ohm", "mmd": "kg",
 }  # fmt: skip
-# Parameters of the netlist with their units and words.
+# Parameters of the netlist with their units and descriptions.
 DRIVER_PARAMETERS = {
     "fs": ("Hz", "resonance frequency in free air"),
     "re": ("Ohm", "DC resistance of the voice coil"),

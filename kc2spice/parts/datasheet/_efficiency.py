@@ -9,20 +9,20 @@ from kc2spice.parts.acoustics.listener import ListenerKeys
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.scene.model import Part, Scene
 
-STEADY_SHARE = 0.5  # part of a transient after which the oscillation counts as periodic
+STEADY_SHARE = 0.5  # fraction of a transient after which the oscillation counts as periodic
 
 
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
-    """Return the efficiency (n,) at all frequencies, or (1,) of the last periods of a transient.
+    """Return the efficiency: (n,) over frequency, or (1,) over the last periods of a transient.
 
     With the pressure p on the axis at the distance r, the radiated power is ::
 
         P = angle r^2 |p|^2 / (rho c)
 
-    with the solid angle of the radiating surfaces. The formula neglects that large surfaces radiate
-    less off their axis. The result is None unless the scene has one loudspeaker and one listener,
-    which is on the axis of surfaces in one fluid. In a transient, the sources also need a common
-    period.
+    where ``angle`` is the solid angle of the radiating surfaces. The formula neglects that large
+    surfaces radiate less off their axis. The scene must have one loudspeaker and one listener on
+    the axis of surfaces in one fluid; otherwise, the result is None. In a transient, the sources
+    also need a common period.
     """
     listener, lines = scene.only("listener"), (f"{part.name}.v", f"{part.name}.i")
     if listener is None or scene.only(part.type.name) is None:
@@ -55,7 +55,7 @@ def _average_periods(
     period: float | None,
     delay: float,
 ) -> np.ndarray | None:
-    """Return the ratio (1,) of two powers (n,) over the last whole periods.
+    """Return the ratio (1,) of two powers (n,), averaged over the last whole periods.
 
     The ``radiated`` power arrives ``delay`` [s] later than the electrical power that generates it.
     The result is None without a common period.

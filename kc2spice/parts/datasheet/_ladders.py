@@ -1,12 +1,12 @@
-"""Ladders of resistors and inductors, or of springs and dampers, for responses without poles.
+"""Ladders of resistors and inductors, or of springs and dampers, for irrational responses.
 
 A response ``f(s)`` whose losses are spread over all frequencies, such as ``1/sqrt(s)`` or
 ``ln(1 + 1/s)``, is approximated in a band by ::
 
     f(s) = constant + integral / s + sum_k weight_k corner_k / (s + corner_k)
 
-All coefficients are positive, so that each term is a passive two-terminal network and so is their
-sum (R. M. Foster, Bell System Technical Journal 3 (1924) 259).
+All coefficients are positive. Each term and the sum are therefore passive two-terminal networks (R.
+M. Foster, Bell System Technical Journal 3 (1924) 259).
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from functools import cache
 
 import numpy as np
 
-_FIT_POINTS, _CHECK_POINTS = 120, 2000  # frequencies of the fit, and of the error estimate
-# band of semi-inductances [rad/s]: 5 Hz to 50 kHz, the audio band and an octave beyond
+# numbers of frequencies in the fit, and in the error estimate
+_FIT_POINTS, _CHECK_POINTS = 120, 2000
+# Band [rad/s] of the ladder of semi-inductances: 5 Hz to 50 kHz, the audio band and an octave more.
 SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
-# Branches of the ladder of semi-inductance: each further branch divides the error by 2.3.
+# Number of branches of the ladder of semi-inductances; each further branch divides the error by
+# 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
-# band of suspension creep, relative to the creep frequency
+# Band of the ladder of creep, relative to the creep frequency.
 CREEP_BAND = 1e-3, 30.0
-CREEP_ELEMENTS = 6  # elements of the ladder of creep: each further element divides the error by 2.9
+# number of elements of the ladder of creep; each further element divides the error by 2.9
+CREEP_ELEMENTS = 6
 
 
 @dataclass(frozen=True)

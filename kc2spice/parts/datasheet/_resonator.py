@@ -6,7 +6,7 @@ mode:
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
 (K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types state how their keys follow
-from these elements. The elements follow from the keys by :mod:`._stated_values`.
+from these elements. :mod:`._stated_values` computes the elements from the keys.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ TWO_PI = 2 * math.pi
 
 
 class NumberedKeys(Section):
-    """Key of every part with a data sheet."""
+    """Key of all parts with a part number."""
 
     number: PartNumber | None = Field(
         None,
@@ -65,7 +65,7 @@ class NumberedKeys(Section):
 
 
 class RatedKeys(NumberedKeys):
-    """Key of every electrical part with a rating."""
+    """Key of all electrical parts with a rated voltage."""
 
     rated_voltage: Voltage | None = Field(
         None,
@@ -85,7 +85,7 @@ class Resonator:
 
     @classmethod
     def from_unknowns(cls, values: np.ndarray) -> Resonator:
-        """Resonator from ``(c0, fs_1, …, cm_1, …, rm_1, …)``."""
+        """Make a resonator from ``(c0, fs_1, …, cm_1, …, rm_1, …)``."""
         c0, *others = map(float, values)
         modes = len(others) // 3
         columns = (tuple(others[k * modes : (k + 1) * modes]) for k in range(3))
@@ -110,7 +110,7 @@ class Resonator:
         return tuple(map(float, result))
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Y (n,) complex [S] at frequencies [Hz]."""
+        """Return the complex admittance (n,) [S] at frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency, float)
         result = s * self.c0
         for cm, lm, rm in zip(self.cm, self.lm, self.rm, strict=True):
@@ -118,24 +118,24 @@ class Resonator:
         return np.asarray(result)
 
     def capacitance(self, frequency: float) -> float:
-        """Capacitance [F] without losses, ``c0 + sum cm / (1 - (f / fs)^2)``."""
+        """Return the capacitance [F] without losses, ``c0 + sum cm / (1 - (f / fs)^2)``."""
         modes = zip(self.cm, self.fs, strict=True)
         return self.c0 + sum(c / (1 - (frequency / f) ** 2) for c, f in modes)
 
     def coupling(self, mode: int) -> float:
-        """Effective coupling coefficient, ``sqrt(1 - (fs / fp)^2)``."""
+        """Return the effective coupling factor of a mode, ``sqrt(1 - (fs / fp)^2)``."""
         return math.sqrt(max(0.0, 1 - (self.fs[mode] / self.fp[mode]) ** 2))
 
     def quality(self, mode: int) -> float:
-        """Mechanical Q factor, ``1 / (2 pi fs rm cm)``."""
+        """Return the Q factor of a mode, ``1 / (2 pi fs rm cm)``."""
         return 1 / (TWO_PI * self.fs[mode] * self.rm[mode] * self.cm[mode])
 
 
 @dataclass(frozen=True)
 class ResonatorNetlist:
-    """Parameters of a subcircuit, and its elements as texts in these parameters.
+    """Parameters of a subcircuit, and its elements as expressions of the parameters.
 
-    The last elements exist once per mode.
+    ``modes`` contains the elements of each mode.
     """
 
     params: tuple[Param, ...]
@@ -144,7 +144,7 @@ class ResonatorNetlist:
 
 
 class NumberedPart(PartType[KeysT]):
-    """A part whose library is named after its part number."""
+    """Part whose library has the name of the part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the part number as the name of the subcircuit."""
@@ -156,7 +156,7 @@ class NumberedPart(PartType[KeysT]):
 
 
 class ResonatorPart(NumberedPart[KeysT]):
-    """A part whose subcircuit is the Butterworth-Van Dyke circuit between two pins."""
+    """Part whose subcircuit is the Butterworth-Van Dyke circuit between two pins."""
 
     source = "data sheet"
     noise = ("Rm*",)
@@ -165,21 +165,21 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def resonator(self, part: Part[KeysT]) -> Resonator:
-        """Elements from the keys of a part.
+        """Return the circuit elements from the keys of a part.
 
-        UsageError if the keys do not determine the elements.
+        A UsageError is raised if the keys do not determine the elements.
         """
 
     @abstractmethod
     def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
-        """Parameters, and equations from them to ``c0`` and to ``lm``, ``cm``, ``rm``."""
+        """Return netlist parameters, and expressions for ``c0``, ``lm``, ``cm``, ``rm``."""
 
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
         """Return the elements of the resonator, for other part types of this package."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Elements of a part of a resolved scene."""
+        """Return the circuit elements of a part of a resolved scene."""
         record = scene.record(part)
         if record is None or not isinstance(record.detail, Resonator):
             return self.resonator(part)
@@ -197,7 +197,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return the paths between all pins except the heat pin."""
+        """Return the paths in equilibrium, which connect all pins except the heat pin."""
         paths = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in paths if HEAT not in path))
 
@@ -301,18 +301,19 @@ class ResonatorPart(NumberedPart[KeysT]):
 
 
 def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
-    """A value of a resonator as a function of the unknowns."""
+    """Return a value of a resonator as a function of the unknowns."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
 def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
-    """Elements between two pins, with the leak that keeps the charge of a floating net."""
+    """Return the elements between two pins, with a leak that conserves charge on floating nets."""
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
     yield Element.of("Vmeter", plus, "inner", "0")
     yield Element.of("C0", "inner", minus, "{c0}")
     for n in content.modes:
-        # The small resistance would cause rounding errors of the small admittance of the capacitor.
+        # The resistor is not joined to the capacitor, because its large conductance at the same
+        # node would cause rounding errors of the capacitor's small admittance.
         inductor, capacitor = f"motion{n}", f"charge{n}"
         yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
         yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
@@ -322,7 +323,7 @@ def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
 
 
 def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
-    """Meter of the heat pin, and the power of each motional resistance as a heat flow."""
+    """Return the meter of the heat pin, and each motional resistance's power as a heat flow."""
     yield from attach_comments(meter_cards())
     for n in content.modes:
         drop = f"V(inner,motion{n})"
@@ -330,7 +331,7 @@ def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
 
 
 def tolerance_note(value: float, tolerance: float | None) -> str:
-    """Range of a parameter by its tolerance, for the netlist header; empty without a tolerance."""
+    """Return the tolerance range of a parameter for the header; empty without a tolerance."""
     if tolerance is None:
         return ""
     low, high = (abbreviate(value * (1 + sign * tolerance)) for sign in (-1, 1))
@@ -338,5 +339,5 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def mode_suffixes(modes: int) -> Sequence[str]:
-    """Endings of the names of each mode's elements; empty for a single mode."""
+    """Return the endings of the element names of each mode; empty for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -22,13 +22,15 @@ from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three digits
 # step of central differences in logarithms, which have errors of 1e-10 and 1e-11
 DIFFERENCE_STEP = 1e-5
-# relative singular value of an undetermined unknown; far above the errors of the differences
+# Relative singular value below which an unknown is undetermined; far above the errors of
+# differences.
 RANK_TOLERANCE = 1e-7
 SOLUTION_TOLERANCE = 1e-6  # relative error of an equation that counts as solved
-RESTART_FACTOR = 30.0  # factor on one unknown at the start of the search for another circuit
+# factor by which one unknown changes at the start of the search for a second circuit
+RESTART_FACTOR = 30.0
 # difference of the logarithm of an unknown above which two circuits differ
 DISTINCT_DIFFERENCE = 1e-3
-# in SI, far below all values of data sheets; its reciprocal is far above them
+# In SI, far below all values of data sheets; the reciprocal is far above all values.
 SMALLEST_VALUE = 1e-24
 LARGEST_LOGARITHM = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
@@ -39,10 +41,10 @@ Relation = Callable[[np.ndarray], float]
 class StatedValues:
     """Values of a data sheet by their keys, and each value as a function of the unknowns.
 
-    ``relations`` has the functions of all values that a sheet may state, of the unknowns
-    ``start.size`` in SI. ``start`` contains the first values of the iteration. Each value has its
-    stated relative ``tolerance``, otherwise the tolerance ``rounding``. ``units`` are the units of
-    the values.
+    ``relations`` contains the functions for all values that a data sheet can state. Their argument
+    is the vector of unknowns in SI. ``start`` contains the unknowns at the start of the iteration.
+    Each value has its stated relative ``tolerance``, otherwise the tolerance ``rounding``.
+    ``units`` are the units of the values.
     """
 
     part: str
@@ -69,11 +71,11 @@ class StatedValues:
         return np.exp(result)
 
     def tolerance_of(self, key: str) -> float:
-        """Tolerance of a value, as a difference between logarithms."""
+        """Return the tolerance of a value, as a difference between logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:
-        """``key = value unit``."""
+        """Return the text ``key = value unit``."""
         return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
 
     # --- equations --------------------------------------------------------------------------------
@@ -85,14 +87,16 @@ class StatedValues:
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
     def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
-        """Derivatives (unknowns,) of the logarithm of a value with respect to the logarithms of
-        the unknowns."""
+        """Return the derivatives (unknowns,) of the logarithm of a value.
+
+        The derivatives are with respect to the logarithms of the unknowns.
+        """
         steps = DIFFERENCE_STEP * np.eye(x.size)
         rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _residual(self, key: str, x: np.ndarray) -> float:
-        """Return the difference of a value to the stated value, as logarithm."""
+        """Return the logarithm of the ratio of a value to the stated value."""
         return self._logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
@@ -101,7 +105,7 @@ class StatedValues:
         return self._fit_unknowns(np.log(self.start))
 
     def _fit_unknowns(self, start: np.ndarray) -> np.ndarray:
-        """Fit the unknowns to the stated values from a start; all are logarithms."""
+        """Fit the logarithms of the unknowns to the stated values, beginning at ``start``."""
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
@@ -207,7 +211,7 @@ class StatedValues:
         return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
 
     def _correction(self, key: str) -> float:
-        """Difference between the logarithms of a value and of the value implied by all others."""
+        """Return the logarithm of the ratio of a value to the value that all others imply."""
         return abs(self._residual(key, self._without(key)._fitted_unknowns))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
@@ -234,11 +238,11 @@ class StatedValues:
                 )
 
     def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Return the difference of a value between two circuits, as logarithm."""
+        """Return the logarithm of the ratio of a value in two circuits."""
         return self._logarithm(key, x) - self._logarithm(key, y)
 
     def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Derivatives of the implied value of ``key`` with respect to each of these values."""
+        """Return the derivatives of the implied value of ``key`` by all other values."""
         weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
         slopes = np.array([self._gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
@@ -263,5 +267,5 @@ class StatedValues:
 
 
 def _join_words(words: list[str]) -> str:
-    """Words with commas, and ``and`` before the last one."""
+    """Join words with commas, and with ``and`` before the last word."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

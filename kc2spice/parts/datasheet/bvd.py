@@ -1,4 +1,4 @@
-"""A piezoelectric part from its data sheet: resonances, capacitance, coupling and losses."""
+"""Piezoelectric part from its data sheet: resonances, capacitance, coupling and losses."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with
 # of a ceramic with a coupling of 0.22 and a Q factor of 100.
 START_RATIO = 0.05
 START_QUALITY = 100.0
-# ratio of a motional to the clamped capacitance, below the ratio of any crystal
+# ratio of motional to clamped capacitance that is smaller than the ratio of any crystal
 SMALLEST_RATIO = 1e-9
-# Hz and F, start of the iteration without stated values
+# Start values [Hz] and [F] of the iteration, if the keys do not state these values.
 FREQUENCY = 1e4
 CLAMPED = 1e-9
 
 
 def _wrap_in_list(value: object) -> object:
-    """One value as a list with one entry."""
+    """Return a single value as a list with one entry."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(
@@ -63,10 +63,10 @@ Modes = BeforeValidator(_wrap_in_list)
 
 
 class BvdKeys(RatedKeys):
-    """Any values of the data sheet that determine the circuit; further values must agree with
-    them.
+    """Values of a data sheet that determine the circuit; redundant values must agree.
 
-    A part with several modes has lists of equal length, one entry for each mode.
+    For a part with several modes, the values are lists of equal length, with one entry for each
+    mode.
     """
 
     fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
@@ -255,7 +255,7 @@ stop = "10 kHz"
 
 
 def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
-    """Pairs of values that no circuit has."""
+    """Yield the errors of pairs of values that no circuit has."""
     keys = part.keys
     for fs, fp in zip(keys.fs, keys.fp, strict=False):
         if fs >= fp:
@@ -291,7 +291,7 @@ def _mode_labels(name: str, modes: int) -> list[str]:
 
 
 def _relations(modes: int, low: float) -> dict[str, Relation]:
-    """All values that a sheet may state, as functions of the unknowns."""
+    """Return all values that a data sheet can state, as functions of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():
         functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
@@ -302,8 +302,7 @@ def _relations(modes: int, low: float) -> dict[str, Relation]:
 
 
 def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
-    """Initial unknowns of the iteration: stated values, otherwise the values of a usual
-    ceramic."""
+    """Return the first unknowns of the iteration: stated values, or those of a typical ceramic."""
     ratio = np.full(modes, START_RATIO)
     if keys.keff:
         ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
@@ -326,14 +325,14 @@ def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
 
 
 def _ratio_key(keys: BvdKeys, modes: int) -> str:
-    """Key of the netlist that determines the motional capacitances."""
+    """Return the parameter of the netlist that determines the motional capacitances."""
     if keys.cm:
         return "cm"
     return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
 
 
 def _loss_key(keys: BvdKeys, modes: int) -> str:
-    """Key of the netlist that determines the motional resistances."""
+    """Return the parameter of the netlist that determines the motional resistances."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"
@@ -345,7 +344,10 @@ def _key_words(keys: BvdKeys, key: str, value: float) -> str:
 
 
 def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
-    """Parameter of one mode. Return the coupling of a mode alone with ``c0`` as a parameter."""
+    """Return a parameter of one mode.
+
+    The coupling factor is the coupling of this mode alone, because ``c0`` is also a parameter.
+    """
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
@@ -354,7 +356,7 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
 
 
 def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Equations of one mode for the circuit elements that are not parameters of the netlist."""
+    """Return the equations of one mode for the circuit elements that are not parameters."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
     result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"

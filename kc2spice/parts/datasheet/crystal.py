@@ -1,4 +1,4 @@
-"""A quartz crystal or tuning fork from its data sheet."""
+"""Quartz crystal or tuning fork from its data sheet."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-# relative rounding error of the frequency of a crystal: a tenth of the usual tolerance
+# Relative rounding error of the frequency of a crystal: a tenth of the usual frequency tolerance.
 FREQUENCY_ROUNDING = 1e-6
 # c1 / c0 and Q of usual crystals
 START_RATIO = 1 / 300
@@ -33,8 +33,11 @@ SHUNT_CAPACITANCE = 3e-12  # F, typical of crystals
 
 
 class CrystalKeys(RatedKeys):
-    """``f = fs sqrt(1 + c1 / (c0 + cl))`` with the load capacitance ``cl``, and the series
-    resonance ``fs`` without it. Two of ``c1``, ``l1`` or of ``r1``, ``q`` must agree."""
+    """Keys of a crystal with the frequency ``f = fs sqrt(1 + c1 / (c0 + cl))``.
+
+    ``cl`` is the load capacitance, and ``fs`` is the series resonance. If both ``c1`` and ``l1``
+    are stated, or both ``r1`` and ``q``, the two values must agree.
+    """
 
     f: Frequency = Field(
         gt=0,
@@ -141,13 +144,13 @@ scale = "linear"
 
 
 def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
-    """Resonance [Hz] of the crystal in series with a load capacitance [F]."""
+    """Return the resonance frequency [Hz] of the crystal in series with a load capacitance [F]."""
     shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
     return circuit.fs[0] * math.sqrt(1 + shift)
 
 
 def _relations(load: float | None) -> dict[str, Relation]:
-    """Values of the sheet as functions of the unknowns."""
+    """Return the values of the data sheet as functions of the unknowns."""
     values: dict[str, Callable[[Resonator], float]] = {
         "f": lambda circuit: _loaded_frequency(circuit, load),
         "c0": lambda circuit: circuit.c0,

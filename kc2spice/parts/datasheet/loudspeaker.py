@@ -1,4 +1,4 @@
-"""A loudspeaker or voice coil with its cone from Thiele-Small parameters."""
+"""Loudspeaker or voice coil with a cone, from Thiele-Small parameters."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Rest, Vector
 
 RADIATION = "radiation"  # part type whose impedance contains the mass of the air
-# s, le / re of a data sheet without le: a corner frequency of 159 kHz, above audio
+# s, le / re for a data sheet without le; the corner frequency of 159 kHz is above the audio band
 INDUCTANCE_TIME = 1e-6
 
 
@@ -109,7 +109,10 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
 
 
 def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
-    """Raise an error if a driver with acoustic pins lacks an area or moves more air than mass."""
+    """Raise an error if a driver with acoustic pins lacks an area or has an impossible mass.
+
+    The mass is impossible if it is smaller than the mass of the air that it contains.
+    """
     if driver.sd is None or driver.mmd is None:
         raise part.wrong(
             "sd",
@@ -161,7 +164,7 @@ stop = "1 kHz"
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
-        """Return the parameters that the keys determine; a UsageError if they do not."""
+        """Return the driver parameters; raise a UsageError if the keys do not determine them."""
         keys = part.keys
         stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:
@@ -176,7 +179,8 @@ stop = "1 kHz"
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
         known = [key for key in DRIVER_UNITS if key not in AREA_KEYS or has_area]
         first = EXAMPLE_WOOFER | {name: stated[name] for name in names if name in stated}
-        if "mmd" in stated and "mms" not in stated:  # mmd of a large cone must begin above zero
+        # The iteration for a large cone must begin with a positive mmd.
+        if "mmd" in stated and "mms" not in stated:
             first["mms"] = stated["mmd"] + 2 * baffle_air_mass(first["sd"])
         start = np.array(list(map(first.__getitem__, names)))
         relations = {key: make_relation(key, names) for key in known}
@@ -225,12 +229,12 @@ stop = "1 kHz"
         return motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Pins of the motor; the pin of the cone may stay open."""
+        """Return the pins of the motor; the pin ``cone`` need not be connected."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
     def _cone(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
-        """Return the moving mass; radiation parts carry the mass of the air on their side."""
+        """Return the moving mass, without the air that parts of type radiation contain."""
         driver = self._parameters(part, scene)
         sides = [
             side
@@ -245,7 +249,7 @@ stop = "1 kHz"
         return ("cone",)
 
     def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Rest:
-        """Return the suspension as a path between cone and frame."""
+        """Return the path in equilibrium: the suspension between cone and frame."""
         return Rest((("cone", "frame"),), inert=("cone",))
 
     def subcircuits(
@@ -259,7 +263,7 @@ stop = "1 kHz"
         return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
 
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
-        """Results of the declaration, and current and voltage of the whole part."""
+        """Return the results of the declaration, and current and voltage of the whole part."""
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
             whole = current("i", "plus", "minus")
@@ -291,7 +295,7 @@ stop = "1 kHz"
     def _impedance(
         self, part: Part[LoudspeakerKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Frequencies [Hz] and impedances [Ohm] of a response to small signals."""
+        """Return frequencies [Hz] and impedances [Ohm] from a small-signal response."""
         known = [waves.data.get(f"{part.name}.{result}") for result in ("v", "i")]
         if "frequency" not in waves or known[0] is None or known[1] is None:
             return None

@@ -1,4 +1,4 @@
-"""A relay from its data sheet: coil, armature with hysteresis, and contacts."""
+"""Relay from its data sheet: coil, armature with hysteresis, and contacts."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Termin
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics
 
-# fraction of the operate time due to the rise of the current, if the sheet does not state the
-# inductance
+# Fraction of the operate time that is the rise time of the current, for a data sheet without an
+# inductance.
 SHARE = 0.9
-HALF_WAY_TIME = math.log(2)  # time constants from one end of the armature's travel to its middle
+# number of time constants from one end of the armature's travel to the middle
+HALF_WAY_TIME = math.log(2)
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
-    """The armature moves once the current times the coil's resistance is above ``pick_up``, and
-    returns once that is below ``release``."""
+    """Keys of a relay.
+
+    The armature moves when the product of current and coil resistance exceeds ``pick_up``, and
+    returns when this product falls below ``release``.
+    """
 
     resistance: Resistance = Field(gt=0, description="Resistance of the coil")
     voltage: Voltage = Field(gt=0, description="Rated voltage of the coil")
@@ -65,7 +69,7 @@ class Timing:
 
 
 def solve_timing(part: Part[RelayKeys]) -> Timing:
-    """Compute the inductance and the time constant that give the operate time at rated voltage.
+    """Compute the inductance and the time constant for the operate time at rated voltage.
 
     The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then
     reaches the middle of its travel after ``ln 2`` time constants.
@@ -111,11 +115,11 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
 
 
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
-    """Declare coil, armature and contacts; the armature moves from 0 at rest to 1.
+    """Declare coil, armature and contacts; the position of the armature is 0 at rest, at most 1.
 
-    The armature moves towards 1 while the voltage of the resistance is above the pick-up voltage,
-    or above the release voltage and the armature is beyond the middle. Contacts switch in the
-    middle.
+    The armature moves towards 1 while the voltage across the resistance exceeds the pick-up
+    voltage. Beyond the middle, the release voltage replaces the pick-up voltage. Contacts switch in
+    the middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"
@@ -212,12 +216,12 @@ pins = { a = "relay.com", b = "gnd" }
         return relay_law(params, keys.changeover)
 
     def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Pins of the coil and of contacts, which may stay open."""
+        """Return the pins of the coil and of the contacts, which need not be connected."""
         pins = super().pins(part, scene)
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the requirements of the declaration, and a step that resolves the armature."""
+        """Yield the requirements of the declaration, and a time step that resolves the armature."""
         yield from super().numerics(part, scene)
         times = solve_timing(part)
         yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)

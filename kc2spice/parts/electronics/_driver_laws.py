@@ -1,8 +1,9 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
-Every function states the circuit of a template ``templates/driver_….j2`` by its nodes: resistors by
-their content, capacitors by their coenergy, controlled sources by the current that they deliver.
-Nodes inside of a driver are pins to which nothing else is joined. The laws do not include noise.
+Each function declares the circuit of a template ``templates/driver_….j2`` with its nodes. The
+content describes resistors, the coenergy describes capacitors, and output currents describe
+controlled sources. Inner nodes of a driver are pins to which no other part is joined. The laws do
+not include noise.
 """
 
 from __future__ import annotations
@@ -18,16 +19,17 @@ from kc2spice.physics.law import DeclaredLaw
 
 OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
 STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
-RAIL_STIFFNESS = 1e3  # 1/V, rate beyond a rail relative to the slew rate
+RAIL_STIFFNESS = 1e3  # 1/V, ratio of the restoring rate to the slew rate, per volt beyond a rail
 FULL_TURN = repr(2 * math.pi)
-# parameter with the resistance [Ohm] of the last resistor of each circuit, ``Rout``
+# Parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
-# gain of a linear amplifier for a voltage beyond a rail: 1 kS over the input stage of 1 mS
+# Gain of a linear amplifier for a voltage beyond a rail: 1 kS divided by 1 mS of the input stage.
 RAIL_GAIN = 1e6
-SINE_SHARE = 0.9999  # share of the sine whose arcsine is the triangle; it rounds the corners
+# amplitude of the sine whose arcsine is the triangle; an amplitude below 1 rounds the corners
+SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
-SENSE_LOAD = 1e3  # Ohm, resistor in which a current becomes the voltage of a sensor
+SENSE_LOAD = 1e3  # Ohm, resistor that converts a current to the voltage of a sensor
 GATE = 12.0  # V, supply of the gates
 THRESHOLD = 3.0  # threshold voltage of the transistors
 SATURATION_CURRENT = 1e-14  # A, of the diodes between source and drain
@@ -37,7 +39,7 @@ THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 2
 def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
     """Declare the amplifier of gain 20 between ``rail`` and ``sink`` [V].
 
-    The dividers of command and feedback both divide by 20; the feedback is 20 kOhm from
+    Two dividers divide the command and the feedback by 20. The feedback divider has 20 kOhm from
     ``drive`` to ``ref``.
     """
     return Declaration(
@@ -56,9 +58,9 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
 
 
 def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
-    """Declare the charge drive, whose amplifier holds the voltage of ``cathode``.
+    """Declare the charge drive, whose amplifier controls the voltage of ``cathode``.
 
-    The leaks of chip and sense capacitor are as many siemens as the capacitors are farads.
+    The leak conductance of chip and sense capacitor in siemens equals the capacitance in farads.
     """
     product = "bandwidth*(sense + capacitance)/capacitance"
     return Declaration(
@@ -82,8 +84,9 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
 def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declaration:
     """Declare the current source, with ``sense`` [Ohm] from ``ret`` to ``ref``.
 
-    R1 = 1 kOhm from ``ret`` to ``inverting``, R2 = ``ratio`` R1 from there to ``middle``, and a
-    capacitor from ``middle`` to ``drive`` whose time constant with R2 is ``constant``.
+    R1 = 1 kOhm connects ``ret`` to ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to
+    ``middle``. A capacitor connects ``middle`` to ``drive``. Its time constant with R2 is
+    ``constant``.
     """
     return Declaration(
         "linear_drive",
@@ -103,8 +106,8 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
 def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
     """Declare the half-bridge with both transistors, their gates and the reservoir ``tank``.
 
-    A transistor of level 1 conducts from drain to source, with the voltages v_gs and v_gd between
-    gate and source or drain::
+    A transistor of level 1 has this current from drain to source, where v_gs and v_gd are the
+    voltages from gate to source and from gate to drain::
 
         i = kp/2 (max(0, v_gs - THRESHOLD)^2 - max(0, v_gd - THRESHOLD)^2)
             - SATURATION (exp(v_sd / THERMAL_VOLTAGE) - 1)
@@ -144,10 +147,11 @@ def declare_pwm_drive(
 ) -> Declaration:
     """Declare the H-bridge with its modulator and its PI controller.
 
-    The controller's output is compared with a triangle between plus and minus ``carrier`` [V], the
-    arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is the resistor in the return line,
-    ``sense`` [Ohm] the amplified voltage for each ampere in it. The operational amplifier of the
-    controller has a linear input stage and the rails plus and minus ``headroom carrier``.
+    A comparator compares the output of the controller with a triangle between plus and minus
+    ``carrier`` [V]. The triangle is the arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is
+    the resistor in the return line. ``sense`` [Ohm] is the amplified voltage for each ampere in the
+    shunt. The operational amplifier of the controller has a linear input stage, and the rails are
+    plus and minus ``headroom carrier``.
     """
     rounded = f"{SINE_SHARE!r}*sine"
     supply = headroom * carrier
@@ -191,10 +195,10 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return the voltages of nodes and of ``command`` to ``ref``.
+    """Return the branches of nodes and of ``command`` to ``ref``.
 
-    The voltage of a node is the voltage of its branch with a current, or ``v_NAME`` without a
-    branch.
+    Every node has two branches to ``ref``: ``NAME``, which carries the current ``i_NAME``, and
+    ``v_NAME``, which only measures the voltage.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
@@ -207,10 +211,10 @@ def _write_output_current(node: str) -> str:
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
-    """Return the rate [V/s] of an amplifier's voltage before its output resistance.
+    """Return the derivative [V/s] of an amplifier's voltage c before its output resistance.
 
-    ``difference`` [V] is the difference of the inputs, ``low`` and ``high`` are the rails. With
-    the angular frequency ``unity`` of unit gain::
+    ``difference`` [V] is the difference of the inputs, and ``low`` and ``high`` are the rails.
+    ``unity`` is the angular frequency of unit gain::
 
         rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
                - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
@@ -222,7 +226,7 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
 
 
 def _write_excess(low: str, high: str) -> str:
-    """Return the voltage [V] of an amplifier before its output resistance beyond its rails."""
+    """Return the excess [V] of an amplifier's voltage before its output resistance over a rail."""
     return f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
 
 
@@ -231,8 +235,8 @@ def build_driver_equations(
 ) -> laws.Equations:
     """Build the equations of the driver ``name``, whose last resistor begins at ``inner_node``.
 
-    Results are the voltages of ``command`` and ``terminals``. The current ``NAME.i`` flows
-    through the resistor to the first terminal.
+    Results are the voltages of ``command`` and ``terminals``, and the current ``NAME.i`` through
+    this resistor to the first terminal.
     """
     values, pins = declared.values(Section()), ("command", *terminals)
     results = {f"{name}.{pin}": laws.scaled_wave(f"{name}.{pin}") for pin in pins}
@@ -245,5 +249,5 @@ def build_driver_equations(
 
 
 def make_parameters(values: Mapping[str, float]) -> tuple[Param, ...]:
-    """Return numbers of a template as parameters of a declaration."""
+    """Return the numbers of a template as parameters of a declaration."""
     return tuple(Param(name, value, "-", "") for name, value in values.items())

@@ -1,5 +1,7 @@
-"""Parts whose netlist is a template of ``templates/``, the operational amplifier in them, and the
-common base of all drivers, which are the electronics between a command and electrodes or coils.
+"""Parts whose netlist is a template of ``templates/``, and the common base of all drivers.
+
+A driver is the electronics between a command and electrodes or coils. The module also contains the
+operational amplifier of these templates.
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ _NOTHING: Mapping[str, Any] = {}
 
 
 class InputNoise(Section):
-    """White noise of an operational amplifier's inputs, only in a noise analysis."""
+    """White noise of the inputs of an operational amplifier, only in noise analyses."""
 
     noise_voltage: Voltage | None = Field(
         None,
@@ -70,10 +72,10 @@ class InputNoise(Section):
 
 
 class TemplatePart(PartType[KeysT]):
-    """A part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
+    """Part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
 
-    ``heading`` describes the part in the first line of its library; ``fixed`` are its pins,
-    ``constants`` numbers of the template that no key sets.
+    ``heading`` describes the part in the first line of its library. ``fixed`` are the pins, and
+    ``constants`` are numbers of the template that no key sets.
     """
 
     template: ClassVar[str]
@@ -91,7 +93,7 @@ class TemplatePart(PartType[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Parameters of the driver's netlist, and further values of the template."""
+        """Return the parameters of the netlist, and further values of the template."""
         return parameters(part.keys), _NOTHING
 
     def subcircuits(
@@ -124,7 +126,7 @@ class TemplatePart(PartType[KeysT]):
 
 
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
-    """Keys (by default all, otherwise ``names``) as positive parameters of a netlist."""
+    """Return the keys ``names``, by default all keys, as positive parameters of a netlist."""
     return tuple(
         positive_parameter(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in list_schema_keys(type(keys))
@@ -135,11 +137,12 @@ def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
 def opamp_subcircuit(
     header: Header, level: Level = "pole", noise: InputNoise | None = None
 ) -> Subcircuit:
-    """``V(out) = A(s) (V(inp) - V(inn))``, ``A = a0 / (1 + s a0 / (2 pi gbw))``, between the rails
-    ``vee`` and ``vcc``, behind an output resistance and with an input offset.
+    """Return the subcircuit of an operational amplifier with output resistance and input offset.
 
-    ``slew``: the same with limited slew rate and output current, as ``opamp_slew``, and with the
-    ``noise`` of its inputs: voltages of resistors of 1 Ohm, ``sqrt(4 k T 1 Ohm)``, times a gain.
+    ``V(out) = A(s) (V(inp) - V(inn))``, ``A = a0 / (1 + s a0 / (2 pi gbw))``, between the rails
+    ``vee`` and ``vcc``. The level ``slew`` also limits slew rate and output current, in the
+    subcircuit ``opamp_slew``. The ``noise`` of the inputs consists of voltages of resistors of 1
+    Ohm, ``sqrt(4 k T 1 Ohm)``, times a gain.
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
@@ -166,8 +169,8 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-# relative margin of voltage and current, for the resistance of the supplies and errors of saved
-# points
+# Relative margin of voltages and currents, for the resistance of supplies and errors of saved
+# points.
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -179,11 +182,11 @@ class Load(NamedTuple):
 
     inductance: float  # H
     resistance: float  # Ohm
-    current: float = 1.0  # A, the largest set current of its controller
+    current: float = 1.0  # A, largest set current of the controller
 
 
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
-    """Voltages ``PART.PIN`` of pins against ``ref``, or against node 0 without a pin ``ref``."""
+    """Return the results ``PART.PIN``: voltages from pins to ``ref``, otherwise to node 0."""
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
     for pin in pins:
@@ -195,7 +198,10 @@ def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vec
 
 
 def ends(*terminals: str) -> tuple[Terminal, ...]:
-    """Pins of a driver: ``command``, the driven terminals and ``ref``."""
+    """Return the pins of a driver:
+
+    ``command``, the driven terminals and ``ref``.
+    """
     driven = (Terminal(name, "V", "A", required=True) for name in terminals)
     return (Terminal("command", "V", "-"), *driven, Terminal("ref", "V", "A", "gnd"))
 
@@ -218,7 +224,7 @@ class Driver(TemplatePart[KeysT]):
 
     @abstractmethod
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Declare the circuit of its netlist with these parameters."""
+        """Declare the circuit of the driver's netlist with these parameters."""
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the equations of the part."""
@@ -231,7 +237,7 @@ class Driver(TemplatePart[KeysT]):
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the template if the scene has one such driver."""
+        """Return the name of the template if the scene has one driver of this type."""
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
@@ -243,8 +249,11 @@ class Driver(TemplatePart[KeysT]):
         return result | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Whether its load drives the output of an amplifier, behind all resistance, beyond its
-        rails; the diodes of a bridge prevent this."""
+        """Check that the load does not drive the amplifier's output voltage beyond its rails.
+
+        The output voltage is behind all resistances. In a bridge, diodes keep the voltage within
+        the rails.
+        """
         name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
             low, high = self.rails(part)
@@ -262,8 +271,10 @@ class Driver(TemplatePart[KeysT]):
 
 
 class CoilDriver(Driver[KeysT]):
-    """A source of the current ``V(command) / 100 Ohm``, whose control loop is designed for the
-    coils at its terminals."""
+    """Source of the current ``V(command) / 100 Ohm`` for the coils at its terminals.
+
+    The control loop is designed for these coils.
+    """
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
 
@@ -283,7 +294,7 @@ class CoilDriver(Driver[KeysT]):
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part[KeysT], build: Build) -> Load:
-        """Coils at the terminals of the driver, with the sphere at the set point."""
+        """Return the load: coils at the driver's terminals, with the sphere at the set point."""
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
@@ -311,6 +322,6 @@ def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | N
 def rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
-    """``low <= volts <= high`` within ``slack`` [V]; an edited deck may differ on purpose."""
+    """Return the check ``low <= volts <= high`` within ``slack`` [V]."""
     beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
     return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)

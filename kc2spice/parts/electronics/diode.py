@@ -24,9 +24,9 @@ from kc2spice.scene.rows import Neglected, Numerics, Vector
 
 
 class DiodeKeys(Section):
-    """``i = IS (exp((v - RS i)/(N VT)) - 1)`` with junction capacitance, transit time, breakdown.
+    """Keys of a diode, ``i = IS (exp((v - RS i)/(N VT)) - 1)`` with capacitance and breakdown.
 
-    The defaults are common values of a 1N4148 (small signal, 100 V).
+    The defaults are common values of the small-signal diode 1N4148 for 100 V.
     """
 
     saturation_current: Current = Field(

@@ -79,7 +79,10 @@ class Amplifier(Driver[AmplifierKeys]):
 
 
 class ChargeKeys(InputNoise):
-    """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
+    """Amplifier that controls the charge of the chip:
+
+    ``capacitance`` times the voltage of the kick pulse.
+    """
 
     capacitance: Capacitance = Field(
         150e-9, gt=0, description="Charge of the chip per volt of command"
@@ -113,7 +116,10 @@ class ChargeDrive(Driver[ChargeKeys]):
 
 
 class HalfBridgeKeys(Section):
-    """Two transistors from a charged capacitor; the high one is on during the kick pulse."""
+    """Two transistors at a charged capacitor.
+
+    The upper transistor conducts during the kick pulse.
+    """
 
     rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the driver")
     resistance: Resistance = Field(2.0, gt=0, description="Resistance between bridge and chip")
@@ -185,8 +191,11 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     def for_load(
         self, keys: LinearDriverKeys, load: Load
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L /
-        100 Ohm``, through an amplifier of five times the bandwidth ``f``."""
+        """Return parameters and values of the control loop for these coils.
+
+        With the bandwidth ``f``, ``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``
+        and ``ratio = 2 pi f L / 100 Ohm``. The amplifier has the bandwidth ``5 f``.
+        """
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE_RESISTANCE
         resistance = load.resistance + SENSE_RESISTANCE
         limit = positive_parameter("current_limit", 2 * load.current, "A", "largest output current")
@@ -200,7 +209,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         }
 
 
-# number of carrier harmonics with 99.9 % of the energy of a triangular current ripple
+# number of carrier harmonics that contain 99.9 % of the energy of a triangular current ripple
 RIPPLE_HARMONICS = 3
 
 
@@ -222,8 +231,8 @@ class PwmDrive(CoilDriver[PwmKeys]):
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
     noise = "no noise: it switches, which an operating point knows nothing of"
-    # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for
-    # each ampere in it
+    # carrier [V]: peak of the triangle; headroom: controller rails relative to the peak; shunt
+    # [Ohm]: resistor in the return line; sense [Ohm]: voltage for each ampere in the shunt
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
@@ -236,7 +245,8 @@ class PwmDrive(CoilDriver[PwmKeys]):
             return result
         name = f"{part.name} carrier"
         carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
-        # the resistor to the pin drive begins at a leg of the bridge, which is no node of the law
+        # The resistor to the pin ``drive`` begins at one leg of the bridge, which is not a node of
+        # the law.
         results = {
             **result.results,
             f"{part.name}.i": laws.scaled_wave(f"{part.name}.drive.through", -1.0),
@@ -249,8 +259,12 @@ class PwmDrive(CoilDriver[PwmKeys]):
         )
 
     def for_load(self, keys: PwmKeys, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L
-        carrier / (100 Ohm rail)``, against a triangle of ``carrier``."""
+        """Return parameters and values of the control loop for these coils.
+
+        The controller output ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))`` is
+        compared with a triangle of the amplitude ``carrier``; ``ratio = 2 pi f L carrier / (100 Ohm
+        rail)``.
+        """
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (
             1e5
@@ -265,7 +279,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
             "inductance": load.inductance,
             "coil_resistance": resistance,
             "bandwidth": keys.bandwidth,
-            "r2": r2,  # Ohm V, 1e5 times ratio and rail
+            "r2": r2,  # Ohm V, product of 1e5 Ohm, ratio and rail
             "constant": load.inductance / resistance,
         }
 
@@ -281,7 +295,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
 
 def _ripple_frequency(carrier: float, constant: float) -> float:
-    """Frequency [Hz] of the highest relevant harmonic of a ripple."""
+    """Return the frequency [Hz] of the highest relevant harmonic of a current ripple."""
     return RIPPLE_HARMONICS * carrier
 
 

@@ -1,4 +1,4 @@
-"""A subcircuit from a netlist of the user, which is checked before a simulator reads it."""
+"""Subcircuit from a user's netlist, which is checked before a simulator reads it."""
 
 from __future__ import annotations
 
@@ -41,14 +41,15 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import FileName
 
-# Parameter that is the current of an element, keyed by letter; "" for elements with a branch.
+# Name of the current of an element in ngspice, keyed by its letter; "" for elements with a branch
+# current.
 _CURRENT_PARAMETERS = {
     **dict.fromkeys("rclb", "i"),
     **dict.fromkeys("dmj", "id"),
     **dict.fromkeys("veh", ""),
     "q": "ic",
 }
-# Kinds of pins: what 1 V and 1 A represent; a signal carries no current.
+# Kinds of pins, which define the meaning of 1 V and 1 A; a signal pin carries no current.
 PIN_KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
 OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
 
@@ -59,7 +60,10 @@ RATING_ADVICE = (
 
 
 class Rating(Section):
-    """Limits of a pin, relative to ``ref`` if the circuit has it: voltages and fastest change."""
+    """Limits of a pin: lowest and highest voltage, and slew rate.
+
+    The voltages are relative to ``ref`` if the circuit has this pin.
+    """
 
     low: Voltage | None = Field(None, description="Lowest allowed voltage of the pin")
     high: Voltage | None = Field(None, description="Largest allowed voltage of the pin")
@@ -69,7 +73,10 @@ class Rating(Section):
 
 
 class NetlistKeys(Section):
-    """``.subckt SUBCKT`` of ``file`` in the folder of the scene."""
+    """Keys of a user's subcircuit:
+
+    ``.subckt SUBCKT`` in ``file``, in the folder of the scene.
+    """
 
     file: FileName = Field(description="Netlist file in the scene's folder")
     subckt: str = Field(
@@ -185,7 +192,7 @@ class Netlist(PartType[NetlistKeys]):
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
-        """Return rated pins, and the pins, currents and inner nodes of probes."""
+        """Return the results: rated pins, and pins, currents and inner nodes that probes read."""
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probe_names(part, scene))
@@ -232,7 +239,7 @@ def driver(
     known: Mapping[str, str],
     data: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Table of the part that the key ``driver`` names; its type must be one of ``known``.
+    """Return the table of the part that the key ``driver`` names, whose type is one of ``known``.
 
     A netlist part without a file uses the first file of the scene's ``include``.
 
@@ -264,7 +271,7 @@ def driver(
 
 
 def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
-    """Pins of the subcircuit in its own order.
+    """Return the pins of the subcircuit in the order of its file.
 
     Raises
     ------
@@ -330,14 +337,14 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
 
 
 def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
-    """Modification time of the part's file [ns]."""
+    """Return the modification time [ns] of the part's file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 @dataclass(frozen=True)
 class _File:
-    """Pins of every subcircuit of a file, and whether it drives an ``ac`` analysis."""
+    """Pins of each subcircuit of a file, and whether the file contains an ``ac`` source."""
 
     pins: dict[str, tuple[str, ...]]
     excites: bool
@@ -345,7 +352,7 @@ class _File:
 
 @lru_cache(maxsize=64)
 def _read(file: str, home: Path, stamp: int) -> _File:
-    """Contents of a file that a scene needs; ``stamp`` is its modification time."""
+    """Return the subcircuits of a file; ``stamp`` is the modification time of the file."""
     result, excites = {}, False
     for card in read_untrusted_netlist(file, home).cards():
         words = list(map(str.lower, card.words))

@@ -38,14 +38,14 @@ from kc2spice.scene.rows import HighestFrequency, Numerics, Rest, SweptSource, V
 
 
 class Kind(NamedTuple):
-    """The quantity that a source prescribes, its domain, and on which side of the pins it is."""
+    """Kind of a source: domain and side (across or through) of the prescribed quantity."""
 
     domain: Domain
     side: Side
 
     @property
     def quantity(self) -> Quantity:
-        """What the source prescribes."""
+        """Quantity that the source prescribes."""
         return self.domain.quantity(self.side)
 
     @property
@@ -55,7 +55,7 @@ class Kind(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Volts or amperes for one SI unit."""
+        """Volts or amperes that represent one SI unit."""
         return self.quantity.per_unit
 
     @property
@@ -79,19 +79,24 @@ SOURCE_TYPES = {name: Kind(*place) for name, place in QUANTITIES.items()}
 # flows.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
-MAX_ROWS = 100_000  # rows of a file
+MAX_ROWS = 100_000  # largest number of rows of a waveform file
 # points per period of a sine: linear interpolation has an error of 4e-4 of the amplitude
 POINTS_PER_PERIOD = 125
-# factor on the reciprocal of the edge time, above which 1e-4 of the spectrum remains
+# Factor on the reciprocal of the edge time that gives the highest frequency of an edge; 1e-4 of the
+# spectrum is above this frequency.
 EDGE_FACTOR = 0.5
-# Harmonics of a sine that is switched on. With 3, a mode above the band was wrong by 1.3 %.
+# Number of resolved harmonics of a sine that is switched on. With 3 harmonics, a mode above the
+# band had an error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
-# largest deviation of an ideal source from its definition, relative to its swing
+# Largest deviation of an ideal source from its definition, relative to its range of values.
 MAX_DEVIATION = 1e-3
 
 
 class SourceKeys(Section):
-    """One of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``; numbers in the kind's SI unit."""
+    """Keys of a source with one of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``.
+
+    Numbers are in the SI unit of the key ``kind``.
+    """
 
     kind: Literal[tuple(SOURCE_TYPES)] = Field(  # type: ignore[valid-type]
         "voltage", description="Quantity that the source prescribes"
@@ -233,7 +238,7 @@ class Source(PartType[SourceKeys]):
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
-            # a sine with a later start also has a jump of velocity
+            # A sine with a later start also has a jump of its derivative.
             kinked = part.keys.kind == "displacement" and moves
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
         constant = part.keys.waveform(np.zeros(1))[0]
@@ -243,7 +248,7 @@ class Source(PartType[SourceKeys]):
         """Return the cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.net(part, "out"), build.net(part, "ret")]
-        if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
+        if kind.letter == "I":  # the current leaves the source at "out" and returns at "ret"
             ends.reverse()
         if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
@@ -320,7 +325,7 @@ class Source(PartType[SourceKeys]):
 def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
     """Return the highest frequency [Hz] of a wave after a filter.
 
-    The time constant [s] of the filter is multiplied by ``share``.
+    The filter is a low pass with the time ``constant`` [s], which is multiplied by ``share``.
     """
     return find_waveform_frequency(wave, stop, share * constant)
 
@@ -337,8 +342,9 @@ def _sweep_cards(
 ) -> Iterator[Element]:
     """Return the cards of a source whose sweep returns from ``to``.
 
-    The simulator sweeps a voltage beyond ``to``. The source folds it at ``to``, so that both
-    directions form one sweep and each point starts from the solution of the previous point.
+    The simulator sweeps an auxiliary voltage beyond ``to``. The source reflects the voltage at
+    ``to``, so that both directions form one sweep, in which each point starts from the solution of
+    the previous point.
     """
     selected = build.scene.analysis
     first = kind.scale * quantity(selected.from_, kind.unit)
@@ -356,7 +362,7 @@ def _sweep_cards(
 
 
 def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
-    """Yield the largest steps and the frequencies of a sine or of edges."""
+    """Yield the largest time steps and the frequencies that a sine or edges require."""
     if not wave.straight:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
@@ -396,7 +402,7 @@ def _make_waveform(points: np.ndarray, what: str) -> Waveform:
 
 
 def _read_table(home: Path, name: str) -> np.ndarray:
-    """Return the rows ``time, value`` of a CSV file beside the scene."""
+    """Return the rows ``time, value`` of a CSV file in the folder of the scene."""
     path = locate_file_in_folder(home, name, "file")
     try:
         data = read_bounded(path, 40 * MAX_ROWS)

@@ -1,7 +1,8 @@
 """Linear elements between two pins, and their part types, which follow from one table.
 
-A row states what the element stores or loses (:mod:`kc2spice.physics.declaration`). Keys, card,
-results, the law of the independent integrator and documentation follow from the row.
+A row contains the energy that the element stores, or the power that it loses
+(:mod:`kc2spice.physics.declaration`). Keys, card, results, documentation and the law for the
+independent integrator are generated from the row.
 """
 
 from __future__ import annotations
@@ -50,7 +51,10 @@ from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):
-    """Data of an element: ``key`` with unit, ``stated`` energies, source of its example."""
+    """Data of an element:
+
+    ``key`` with unit, ``stated`` energies, and ``drive`` in its example.
+    """
 
     name: str
     title: str
@@ -123,13 +127,14 @@ part = "source"
 
 
 class LinearElement(DeclaredPart[KeysT]):
-    """``through = admittance d^order/dt^order`` of voltage or velocity: one plain card.
+    """Linear element that is one card:
 
-    An element whose heat pin is joined is a subcircuit instead.
+    ``through = admittance d^order/dt^order`` of ``across``. An element whose heat pin is joined is
+    a subcircuit instead.
 
-    Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
-    alone in an ac analysis: a resistance has its law, an inductance its branch, and a capacitance
-    an ideal meter in series at pin ``a``.
+    Currents are not read from the device (``@r[i]``), which ngspice computes only at the operating
+    point of an ac analysis. The current of a resistance is computed from its law, an inductance has
+    a branch current, and a capacitance has an ideal meter in series at pin ``a``.
     """
 
     @cached_property
@@ -139,7 +144,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def admittance_law(self) -> tuple[int, Tree]:
-        """Order of the derivative, and admittance, from the declaration."""
+        """Order of the derivative and admittance of the element, from its declaration."""
         d, b = self.declaration, self.branch
         flow = d.direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -166,7 +171,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element has a heat pin, and so is a subcircuit."""
+        """Return whether the element has a heat pin, and is therefore a subcircuit."""
         return is_heated(part, scene)
 
     def subcircuits(
@@ -210,8 +215,9 @@ class LinearElement(DeclaredPart[KeysT]):
     def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Return a conductance that conserves the charge of a floating net.
 
-        The conductance is proportional to the capacitance, as for an electrode of a body. The
-        currents ``rate C v`` of a net then sum to zero if the charges ``C v`` do.
+        The conductance is proportional to the capacitance, as for an electrode of a body. If the
+        charges ``C v`` of a net sum to zero, the currents ``rate C v`` of the conductances then
+        also sum to zero.
         """
         value = LEAK_RATE * self._evaluate(
             part, multiply_trees(self._unit_factor, self.admittance_law[1])
@@ -220,7 +226,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_loss(self) -> bool:
-        """Whether the element has a loss, whose noise is thermal."""
+        """Whether the element has a loss, and therefore thermal noise."""
         return self.declaration.loss_coefficient(self.branch) != ZERO
 
     @cached_property
@@ -229,7 +235,10 @@ class LinearElement(DeclaredPart[KeysT]):
         return self._unit_factor == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
-        """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
+        """Return the cards of the force noise ``4 k T c`` [N^2/Hz].
+
+        Its value is the voltage noise of a resistor of c ohms.
+        """
         if not self._has_loss:
             return ()
         n, value = part.name, self._evaluate(part, self.admittance_law[1])
@@ -274,7 +283,7 @@ DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
 def element(name: str, kind: str, value: float) -> DeclaredLaw:
-    """Make the law of an element of this ``kind``, such as ``spring``, with the SI ``value``."""
+    """Make the law of an element of a ``kind``, such as ``spring``, with a ``value`` in SI."""
     return DeclaredLaw(name, DECLARED[kind], (value,))
 
 

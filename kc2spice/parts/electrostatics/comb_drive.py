@@ -9,8 +9,10 @@ from kc2spice.scene.parttype import register
 
 
 class CombDriveKeys(_stop.StoppedCoordinate):
-    """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
-    thickness v^2 / gap``."""
+    """Keys of a comb drive with ``C = 2 fingers eps0 thickness (overlap + x) / gap``.
+
+    The force ``fingers eps0 thickness v^2 / gap`` does not depend on x.
+    """
 
     fingers: Ratio = Field(
         gt=0, description="Number of fingers of the moving comb, each between two fixed fingers"

@@ -1,16 +1,17 @@
-"""A gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
+"""Gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
 
-The face is one port or a row of them, each a patch with its own displacement; x is the displacement
-of a patch upwards. The distance d is ``gap - x`` to an electrode above the patch, and ``gap + x``
-to an electrode below. Of each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity
-eps0 A / d``; with ``fringing`` it is the capacitance of a strip of width w and thickness t, per
-length ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs,
-J. T. Fokkema, Integration 2 (1984) 85). The stop acts beyond ``travel``, see ``_stop``.
+The face is one port or a row of ports. Each port is a patch, and x is the displacement of this
+patch upwards. The distance d is ``gap - x`` to an electrode above the patch, and ``gap + x`` to an
+electrode below. A patch of area A has the coenergy ``C v^2 / 2`` with ``C = permittivity eps0 A /
+d``. With ``fringing``, C is the capacitance of a strip of width w and thickness t, per length
+``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T.
+Fokkema, Integration 2 (1984) 85). Beyond ``travel``, a stop acts
+(:mod:`kc2spice.parts.mechanics._stop`).
 
 The film of gas is a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
-(1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
-term a damper c in series with the spring of the trapped gas k, moved by the patches' share of the
-term::
+(1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd. Each term
+is a damper c in series with a spring k of the trapped gas. The patches move each term in proportion
+to their share of the term::
 
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
@@ -67,14 +68,16 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
 PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
-# error of the force over the displacement at an operating point, due to iterations
+# Error of the ratio of force to displacement at an operating point, which iterations cause.
 ITERATION_ROUNDING = 1e-9
-# relative change of the capacitance that counts; above rounding errors of ngspice at rest
+# Smallest relative change of the capacitance that counts; far above rounding errors of ngspice at
+# rest.
 MAX_CAPACITANCE_CHANGE = 1e-5
-# odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
+# Largest odd m and n of the series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
-REFINEMENT_RATIO = 2  # ratio of the branches of the film in verify to those in the netlist
-# branches that the frequencies of the scene require; the motion may be faster than the drive
+# ratio of the number of film branches in ``verify`` to the number in the netlist
+REFINEMENT_RATIO = 2
+# Smallest and largest number of branches; the motion can be faster than the drive.
 FEWEST = 3
 MOST = 100
 
@@ -87,7 +90,7 @@ class Fringing(Section):
 
 
 class Film(Section):
-    """Gas between the faces, vented on all sides; the patches are strips across the length."""
+    """Gas film between the faces, vented on all sides; the patches are strips across its length."""
 
     length: Length = Field(gt=0, description="Length of the face along the row of patches")
     width: Length = Field(gt=0, description="Width of the face")
@@ -112,7 +115,10 @@ class Film(Section):
 
 
 class GapKeys(_stop.StoppedCoordinate):
-    """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
+    """Keys of a gap.
+
+    ``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports.
+    """
 
     a: str | tuple[str, ...] = Field(
         description="Name of the body with surface patches, or a list of its ports"
@@ -148,7 +154,7 @@ class GapKeys(_stop.StoppedCoordinate):
 
 
 class PatchedPart(DeclaredPart[KeysT]):
-    """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
+    """Part that acts on a row of patches ``p1`` …; its key ``a`` determines their number."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -161,7 +167,7 @@ class PatchedPart(DeclaredPart[KeysT]):
 
 
 class Gap(PatchedPart[GapKeys]):
-    """The part type, whose keys determine the number of branches."""
+    """Part type ``gap``, whose keys determine the number of branches."""
 
     discretisations = ("film.branches",)
 
@@ -179,13 +185,14 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
-        """For a ``full`` model, the result is the film with :data:`REFINEMENT_RATIO` times the
-        branches of the netlist.
+        """Return the number of film branches.
+
+        With ``full``, the film has :data:`REFINEMENT_RATIO` times as many branches as the netlist.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
-        """Return the law without the pins of branches that the netlist does not have."""
+        """Return the law, without pins of film branches that the netlist lacks."""
         result, known = super().law(part, build), set(names_of(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
@@ -216,10 +223,10 @@ class Gap(PatchedPart[GapKeys]):
     def checks(
         self, part: Part[GapKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks; after a dc sweep, they include a check for unstable points.
+        """Yield the checks of a run; after a dc sweep, also the check for unstable points.
 
-        No point may be on the branch between pull-in and release. The capacitance of a stable
-        point never falls with ``v^2``.
+        No point may be on the unstable branch between pull-in and release. At a stable point, the
+        capacitance never decreases with ``v^2``.
         """
         yield from super().checks(part, build, waves)
         yield from _check_film(part, build, waves)
@@ -239,11 +246,12 @@ class Gap(PatchedPart[GapKeys]):
         yield Check(name, most, MAX_CAPACITANCE_CHANGE, what, advice)
 
     def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Return the voltages of pull-in and release and the largest travel, or small signals.
+        """Return the metrics: pull-in voltage, release voltage and largest displacement.
 
-        At pull-in, the first patch meets the stop; at release, the last patch leaves the stop. Each
-        voltage is the mean of the two points around. In ``ac`` the metrics are the real part of
-        force over displacement and its imaginary part over ``2 pi f``, at the last frequency.
+        At pull-in, the first patch touches the stop. At release, the last patch leaves the stop.
+        Each voltage is the mean of the points before and after the event. In ``ac``, the metrics
+        are stiffness and damping at the last frequency: the real part of force over displacement,
+        and the imaginary part over ``2 pi f``.
         """
         of = {"x": _waves_of(part, "x", waves), "force": _waves_of(part, "force", waves)}
         volts = waves.data.get(f"{part.name}.v")
@@ -287,7 +295,7 @@ def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return the number of terms of its film that have a spring; 0 without a film."""
+    """Return the number of terms of the film that have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -302,10 +310,11 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 
 @lru_cache(maxsize=256)
 def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
-    """Larger relative error of damping and force of a series with ``branches`` springs.
+    """Return the larger of the relative errors of damping and force with ``branches`` springs.
 
-    The error is computed at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j
-    w c / k)``, or ``j w c`` without a spring. The damping is the imaginary part.
+    The error is computed at the ``frequency`` [Hz]. A term of the film series has the ratio of
+    force to displacement ``z = j w c / (1 + j w c / k)``, or ``j w c`` without a spring. The
+    imaginary part is proportional to the damping.
     """
     if not frequency:
         return 0.0
@@ -325,8 +334,8 @@ def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarr
 def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the film's series at the highest frequency of a run.
 
-    The frequency is the frequency of the response. In a transient, the velocity of the patches has
-    99.9 % of its energy below this frequency.
+    In a transient, this frequency is the frequency below which the velocity of the patches has 99.9
+    % of its energy.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:
@@ -366,10 +375,10 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
     for k, share in enumerate(shares, 1):
         numbers[f"share{k}"] = share
         branches.append(displacement(f"x{k}", f"p{k}", "b", f"force{k}"))
-        # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
+        # The divisor is the relative gap, 1 at rest, because ngspice adds 1e-32 to every divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
-        # the argument of a root must not be negative in any iteration
+        # The argument of a root must not be negative in any iteration.
         if keys.fringing is not None:
             gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
@@ -441,9 +450,9 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
 
 
 def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return dampers, springs and orders along the length of all terms, each (n,).
+    """Return the dampers, the springs and the indices m of all terms, each (n,).
 
-    The dampers are multiplied by gap^3, the springs by gap. The largest dampers are listed first.
+    The dampers are multiplied by gap^3, and the springs by gap. The largest dampers are first.
     """
     area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
@@ -459,8 +468,8 @@ def _split_series(
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     """Split the series into terms with a spring, and the sum of all other dampers.
 
-    A term is its damper times gap^3, its spring times gap, and the share of each patch in its
-    motion.
+    A term contains the damper times gap^3, the spring times gap, and the share of each patch in the
+    motion of the term.
     """
     dampers, springs, orders = _series_terms(film)
     edges = np.linspace(0, 1, count + 1)

@@ -11,10 +11,11 @@ from kc2spice.scene.parttype import register
 
 
 class ParallelPlateKeys(_stop.StoppedCoordinate):
-    """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
+    """Keys of two parallel plates with the coenergy ``C v^2 / 2``.
 
-    With a spring of stiffness ``k`` between them the plates pull in at the voltage
-    ``sqrt(8 k gap^3 / (27 eps area))``.
+    ``C = permittivity eps0 area / (gap - x)``, so that a voltage increases x. With a spring of
+    stiffness ``k`` between the plates, they pull in at the voltage ``sqrt(8 k gap^3 / (27 eps
+    area))``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")

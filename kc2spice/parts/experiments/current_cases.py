@@ -34,11 +34,15 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, SweptSource, Vector
 
-LOOKUP_HEIGHTS = 2001  # heights at which the lookup is read: five per segment
+# number of heights at which the lookup is read: five for each segment of the lookup
+LOOKUP_HEIGHTS = 2001
 
 
 class CurrentCasesKeys(Section):
-    """Currents of each coil; the height of the sphere is swept over the whole table."""
+    """Keys of the experiment: currents of each coil.
+
+    The height of the sphere is swept over the table.
+    """
 
     currents: tuple[Current, ...] = Field(
         (-0.1, 0.0, 0.1),
@@ -131,16 +135,16 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
-        """Return the laws of the coils.
+        """Return the laws of the coils, with a source that prescribes the height.
 
-        A source prescribes the height, and the forces of the coils act on it.
+        The forces of the coils act on this source.
         """
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scaled_wave(f"{n}.out")}
         for k, force in enumerate(_force_names(part, build)):
-            case = f"{fed.name} {k}"  # names of parts contain no blanks
+            case = f"{fed.name} {k}"  # unique, because names of parts contain no blanks
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
@@ -152,9 +156,9 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Yield the largest jump of the slope between segments of the lookup, and gates.
+        """Yield the check of the largest jump of the slope between lookup segments, and the gates.
 
-        The heights are finer than the lookup, so that a jump has its full size.
+        The spacing of the heights is smaller than the segments, so that a jump has its full size.
         """
         forces = _recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_sphere(part, build.scene)}.y"])
@@ -179,13 +183,13 @@ def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
 
 
 def _force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
-    """Names of the forces as results, one for each pair of currents."""
+    """Return the result names of the forces, one for each pair of currents."""
     name = _coils(part, build.scene).name
     return [f"{name}.force.{k}" for k in range(len(current_pairs(part)))]
 
 
 def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveforms) -> np.ndarray:
-    """Forces [N] of all pairs of currents (pairs, heights)."""
+    """Return the forces [N] for all pairs of currents (pairs, heights)."""
     return np.array([*map(waves.__getitem__, _force_names(part, build))])
 
 

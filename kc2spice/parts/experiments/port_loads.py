@@ -39,12 +39,13 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Vector
 
-# F; in series with 1/CHARGE_CAPACITANCE volts it carries one coulomb at any voltage of the anode
+# F; in series with a source of 1 C / CHARGE_CAPACITANCE, it carries one coulomb at any anode
+# voltage
 CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
-    """Responses of all outputs to a unit load on each port, over a linear range of frequencies."""
+    """Keys of the experiment: a linear range of frequencies for the unit loads on each port."""
 
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
     stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
@@ -152,7 +153,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def metrics(
         self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
+        """Return ``amplitude[input][output]`` for a unit input, over ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
         vectors = build.records[part.name].vectors
         for name, response in waves.data.items():
@@ -163,7 +164,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
     def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
-        """Gates of the harmonic loads; the tolerance of the reduction limits them."""
+        """Yield the gates of the harmonic loads, which contain the tolerance of the reduction."""
         gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
         limits = dict.fromkeys(SOLUTION_PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
@@ -187,7 +188,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     ) -> laws.Equations | laws.MissingEquations | None:
         """Return one copy of the body's law for each load.
 
-        A unit charge is a large voltage behind a very small capacitance.
+        A large voltage behind a very small capacitance represents a unit charge.
         """
         body = body_of(part, build.scene)
         equations = body.type.law(body, build)
@@ -229,7 +230,7 @@ class PortLoads(PartType[PortLoadsKeys]):
 
 
 def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
-    """Return the stack under the loads.
+    """Return the stack on which the loads act.
 
     Raises
     ------

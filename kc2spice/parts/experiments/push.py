@@ -71,7 +71,7 @@ class Push(TouchablePart[PushKeys]):
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
         ball = sphere_of(part, scene)
-        _pair(part, scene)  # says what it needs
+        _pair(part, scene)  # raises the error of a missing sphere
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
             problem = "the depth exceeds the radius of the sphere"
@@ -110,7 +110,7 @@ class Push(TouchablePart[PushKeys]):
         yield Numerics("imprint", options=options)
 
     def metrics(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Force of one symmetry sector at each depth, and the largest."""
+        """Return the force of one symmetry sector at each depth, and the largest force."""
         pair = _pair(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
@@ -122,9 +122,9 @@ class Push(TouchablePart[PushKeys]):
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of a run."""
         pair, gates = _pair(part, build.scene), build.scene.gates
-        # The first depths are contacts of one basis function, which the law does not resolve: all
-        # errors are then relative to the largest force; in the comparison with the full model they
-        # are those of the basis.
+        # At the first depths, one basis function carries the contact, which the law does not
+        # resolve. All errors are therefore relative to the largest force. Against the full model,
+        # the limit is the error of the basis.
         law = pair.basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),

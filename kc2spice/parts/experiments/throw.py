@@ -1,4 +1,4 @@
-"""The motion of a sphere at t = 0, and the metrics of an impact (paper 2.2.2, Fig. 9)."""
+"""Motion of a sphere at t = 0, and metrics of an impact (section 2.2.2 and Fig. 9 of the paper)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from kc2spice.scene.rows import Numerics, State
 
 
 class ThrowKeys(Section):
-    """Impact of a free sphere on a body."""
+    """Keys of the impact of a free sphere on a body."""
 
     velocity: Velocity = Field(
         -1.0, description="Initial velocity of the sphere, negative for a downward motion"
@@ -71,7 +71,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Numerical requirements: the allowed charge error falls with the speed of the impact."""
+        """Yield a tighter tolerance of charges, in proportion to the speed of the impact."""
         speed = max(1e-3, _impact_speed(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
@@ -86,7 +86,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     def metrics(
         self, part: Part[ThrowKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return positions relative to first contact, and the force of one symmetry sector."""
+        """Return positions relative to the first contact, and the force of a symmetry sector."""
         pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
@@ -120,7 +120,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
     def law(self, part: Part[ThrowKeys], build: Build) -> laws.Equations:
-        """No law: the part only sets the initial state of the sphere."""
+        """Return no equations, because the part only sets the initial state of the sphere."""
         return laws.Equations()
 
     def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:
@@ -130,12 +130,12 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
 
 def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
-    """Speed [m/s] of the impact."""
+    """Return the speed [m/s] of the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 
 
 def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Time and value of the lowest point, by a parabola through the lowest three samples."""
+    """Return time and value of a minimum, from a parabola through the three lowest samples."""
     k = int(np.argmin(y))
     if k in (0, t.size - 1):
         return float(t[k]), float(y[k])

@@ -19,7 +19,8 @@ from kc2spice.physics.declaration import (
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Balance, Check, Metric
 
-_UNEXPLAINED = 1e-3  # fraction of the heat that the steps of a run may lose
+# largest error of the heat that the time steps of a run cause, as a fraction of the heat
+_UNEXPLAINED = 1e-3
 
 
 def wire_values(keys: ConductorKeys) -> tuple[float, float]:
@@ -29,7 +30,7 @@ def wire_values(keys: ConductorKeys) -> tuple[float, float]:
 
 
 def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Resistance at a ``temperature`` [K] over ambient, relative to the stated resistance."""
+    """Return the resistance at a ``temperature`` [K] over ambient, divided by the stated one."""
     coefficient, reference = wire_values(keys)
     values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
     return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))

@@ -1,4 +1,4 @@
-"""A conducting body of revolution that moves along coils and magnets: eddy currents as loops."""
+"""Conducting body of revolution that moves along coils and magnets, with eddy currents as loops."""
 
 from __future__ import annotations
 
@@ -62,26 +62,32 @@ from kc2spice.scene.rows import Neglected, Numerics
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
-TOLERANCE_RATIO = 0.1  # ratio of tolerances, full to reduced model
+# ratio of the tolerance of the full model to the tolerance of the reduced model
+TOLERANCE_RATIO = 0.1
 SWING = 0.05
 MAX_TURNS = 5
-REFINEMENT_RATIO = 2  # ratio of rings and of frequency, full to reduced model
-CIRCLE_METHOD = "closed form of coaxial circles"  # source of the couplings without rings
+# ratio of full to reduced model, for the number of rings and the highest frequency
+REFINEMENT_RATIO = 2
+# description of the method for couplings without rings
+CIRCLE_METHOD = "closed form of coaxial circles"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
-# inductance of a coil above a conductor, relative to its inductance without the conductor
+# Ratio of the inductance of a coil above a conductor to its inductance without the conductor.
 SCREENED_RATIO = 0.5
-# largest frequency of a run's currents, relative to the resolved frequency
+# Largest ratio of the frequency of a run's currents to the resolved frequency.
 MAX_FREQUENCY_RATIO = 2.0
-# fraction of energy below the highest frequency; a short sine has energy above its own frequency
+# Fraction of the energy below the highest frequency of a run; a short sine also has energy above
+# its frequency.
 SEEN = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss by the rings
-# largest change of the path of a magnet if the tolerance of its field is ten times smaller
+# Largest change of the path of a magnet in verify, where the tolerance of its field is ten times
+# smaller.
 MOVED = 1e-3
-MIN_CHANGE = 0.1  # assumed smallest ratio of the change by finer rings to the error of the rings
+# assumed smallest ratio of the change by finer rings to the error that rings cause
+MIN_CHANGE = 0.1
 
 
 class CoilKeys(Section):
-    """A winding of rectangular section about the axis."""
+    """Winding of rectangular section about the axis."""
 
     radius: Length = Field(gt=0, description="Mean radius of the coil")
     width: Length = Field(gt=0, description="Radial width of the coil cross-section")
@@ -92,7 +98,7 @@ class CoilKeys(Section):
 
 
 class MagnetKeys(Ring):
-    """A ring or cylinder that is magnetised along the axis, of the permeability of air."""
+    """Ring or cylinder that is magnetised along the axis, with the permeability of air."""
 
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
@@ -106,8 +112,9 @@ class Conduction(Section):
 
 
 class Moving(ConductorKeys):
-    """A body in the field of coils and magnets about one axis; y is the height of its centre of
-    mass. A part ``mass`` at the pin ``a`` represents the mass of the body."""
+    """Body in the field of coils and magnets about one axis; y is the height of its centre of mass.
+
+    A part ``mass`` at the pin ``a`` represents the mass of the body."""
 
     radius: Length = Field(gt=0, description="Outer radius of the body")
     inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
@@ -132,7 +139,7 @@ class Moving(ConductorKeys):
 
 
 class MovingConductorKeys(Conduction, Moving):
-    """Disc, ring or sphere."""
+    """Conducting disc, ring or sphere."""
 
     shape: Literal["disc", "sphere"] = Field(
         "disc", description="Shape of the body; a disc with a hole is a ring"
@@ -161,7 +168,7 @@ def _current_name(coil: str) -> str:
 
 
 def _eddy_names(count: int) -> list[str]:
-    """Names of the currents of ``count`` loops in the body."""
+    """Return the names of the currents of ``count`` loops in the body."""
     return list(map("eddy{}".format, range(1, count + 1)))
 
 
@@ -236,9 +243,9 @@ MovingT = TypeVar("MovingT", bound=Moving, default=Moving)
 
 
 class MovingBody(DeclaredPart[MovingT]):
-    """A body that moves in the field of coils and magnets."""
+    """Body that moves in the field of coils and magnets."""
 
-    results_of_model = True  # the model has this number of loops
+    results_of_model = True  # the model determines the number of loops
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
@@ -316,7 +323,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def build(self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False) -> Ladder:
         """Build the loops and couplings of the body.
 
-        The ``full`` model has more loops of more rings, up to twice the highest frequency, and
+        The ``full`` model has more loops and rings, which resolve twice the highest frequency, and
         more accurate couplings.
         """
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
@@ -343,12 +350,12 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
-        except UsageError as error:  # this error depends on the range of heights
+        except UsageError as error:  # The error of the rings depends on the range of heights.
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
     def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Heights and times of the turning points of the body, see :func:`turning_points`."""
+        """Return heights and times of the body's turning points, see :func:`turning_points`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
         result = turning_points(waves["time"], waves[f"{part.name}.y"])
@@ -405,21 +412,20 @@ class MovingBody(DeclaredPart[MovingT]):
     def field(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
     ) -> Ladder:
-        """Couplings of the body's loops with the coils and with ``fixed`` currents, and their
-        rates."""
+        """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
 
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
-        """Faults in the shape of the body."""
+        """Yield the errors in the shape of the body."""
         return iter(())
 
     def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
-        """Frequency [Hz] up to which its eddy currents are resolved."""
+        """Return the frequency [Hz] up to which eddy currents are resolved."""
         return 0.0
 
     def add_ring_error(
         self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int
     ) -> Ladder:
-        """Return the loops with the estimated error of the division into rings."""
+        """Return the loops with an error estimate for the division into rings."""
         return ladder
 
 
@@ -435,7 +441,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     source = "rings (integral equation, axisymmetric), reduced"
 
     def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
-        """Faults in the shape of the body."""
+        """Yield the errors in the shape of the body."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong(
@@ -451,7 +457,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             )
 
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
-        """Frequency [Hz] up to which its eddy currents are resolved."""
+        """Return the frequency [Hz] up to which eddy currents are resolved."""
         return float(
             part.keys.frequency
             or max(MIN_FREQUENCY, highest_frequency(scene, _shortest_lag(part, scene)))
@@ -465,8 +471,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         rings: int,
         frequency: float,
     ) -> Ladder:
-        """Couplings of the body's loops with the coils and with ``fixed`` currents, and their
-        rates."""
+        """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
         body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)
@@ -474,10 +479,10 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     def add_ring_error(
         self, ladder: Ladder, keys: MovingConductorKeys, fixed: list[Winding], rings: int
     ) -> Ladder:
-        """Return the loops with the error of their rings.
+        """Return the loops with the error estimate of their rings.
 
-        The error is of second order in the size of a ring, in proportion to the reciprocal of their
-        number. The change by finer rings is also part of the error.
+        The error is proportional to the square of the ring size, and so to the reciprocal of the
+        number of rings. The error estimate also contains the change by finer rings.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
@@ -505,7 +510,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
 
 def _ring_error(model: Ladder) -> str:
-    """Error estimate of the rings that a body is divided into, in words; empty without rings."""
+    """Return the error estimate of the division into rings as text; empty without rings."""
     errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
@@ -513,8 +518,8 @@ def _ring_error(model: Ladder) -> str:
 def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
 
-    Between two turning points, ``y`` moves by more than ``SWING`` of its range, so that ripple is
-    ignored.
+    Between two turning points, ``y`` changes by more than the fraction ``SWING`` of its range, so
+    that ripple is ignored.
     """
     result, best, sign = [], 0, 0
     least = SWING * np.ptp(y)
@@ -558,7 +563,7 @@ def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
 
 
 def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
-    """Sum of the resistors [Ohm] in series with a coil, at one of its ``pins``."""
+    """Return the sum [Ohm] of the resistors in series with a coil, at one of its ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
     for resistor in scene.of("resistor"):
@@ -568,7 +573,7 @@ def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) ->
 
 
 def _highest_run_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
-    """Highest frequency [Hz] of a run: of its response, or of the currents in the coils."""
+    """Return the highest frequency [Hz] of a run: of the response, or of the coil currents."""
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])
     result = 0.0
@@ -594,7 +599,7 @@ def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
 
 
 def _cross_section(ring: Ring) -> Winding:
-    """Cross-section of a magnet, as a winding without turns."""
+    """Return the cross-section of a magnet, as a winding without turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
 
@@ -624,7 +629,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
 
 
 def _body_height(keys: Moving) -> float:
-    """Height of the body [m]."""
+    """Return the height [m] of the body."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 
 

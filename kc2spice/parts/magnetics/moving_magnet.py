@@ -1,4 +1,4 @@
-"""A magnet that moves along coils and fixed magnets: shakers, buzzers, harvesters, levitation."""
+"""Magnet that moves along coils and fixed magnets: shakers, buzzers, harvesters, levitation."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ class MovingMagnetKeys(Magnetisation, Moving):
 
 
 def demagnetising_factor(inner: float, outer: float, height: float) -> float:
-    """Mean (magnetometric) demagnetising factor N of a ring or cylinder along its axis.
+    """Return the magnetometric demagnetising factor N of a ring or cylinder along its axis.
 
-    The mean field of its surface currents is ``(1 - N)`` times the field of a very long magnet.
+    The mean field of the surface currents is ``(1 - N)`` times the field of a very long magnet.
     """
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:

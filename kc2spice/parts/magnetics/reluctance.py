@@ -1,4 +1,4 @@
-"""A magnet or coil that pulls iron across air gaps: relays, valves, holding magnets."""
+"""Magnet or coil that pulls iron across air gaps: relays, valves, holding magnets."""
 
 from typing import Annotated
 
@@ -21,9 +21,12 @@ from kc2spice.scene.parttype import register
 
 
 class ReluctanceKeys(ConductorKeys, _stop.StoppedCoordinate):
-    """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
-    ``gaps flux^2 / (2 MU_0 area)``. For a permanent magnet of length l and area A, ``magnet`` is
-    ``remanence l / (MU_0 mu_r)`` and its contribution to ``core`` is ``l / (MU_0 mu_r A)``.
+    """Keys of a magnetic circuit that attracts iron.
+
+    The flux ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` causes a force ``gaps
+    flux^2 / (2 MU_0 area)`` in the direction of x. For a permanent magnet of length l and area A,
+    ``magnet`` is ``remanence l / (MU_0 mu_r)`` and its contribution to ``core`` is ``l / (MU_0 mu_r
+    A)``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")

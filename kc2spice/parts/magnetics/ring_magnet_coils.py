@@ -1,8 +1,8 @@
-"""The catch actuator: ring magnet and two coils around a magnetic sphere's path (paper 2.2.1, 2.4).
+"""Catch actuator: ring magnet and two coils around a magnetic sphere's path (paper 2.2.1, 2.4).
 
-The force is six functions of the sphere's height, exact in both currents. With ideal current drive
-the coils are resistors; real coils have inductance and back-EMF from the same table. The law
-itself is stated in :mod:`kc2spice.physics.coils`.
+The force is a polynomial of both currents, whose six coefficients are functions of the height. For
+an ideal current drive, the coils are resistors. Real coils have inductance and back-EMF from the
+same table. :mod:`kc2spice.physics.coils` declares the law.
 """
 
 from __future__ import annotations
@@ -72,12 +72,15 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 COLD = "coils at the temperature of their data, without heating"
 HOT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-DEFAULT_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
-REFINEMENT_RATIO = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
-# heights per interval of the denser table that the table of the netlist is compared with
+# A, current for plots and comparisons of the force if a scene states no current limit
+DEFAULT_CURRENT = 0.1
+# ratio of the number of cells along each edge of the mesh in verify to the number for the table
+REFINEMENT_RATIO = 2
+# Number of heights in each interval of the denser table, with which the table of the netlist is
+# compared.
 DENSITY_RATIO = 4
-LOOKUP_POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
-# largest error of the spline between heights, relative to the largest force
+LOOKUP_POINTS = 201  # points of each lookup; the error between points is 6e-6 of the largest force
+# Largest error of the spline between heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
 COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), per volume: 385 J/(kg K) at 8960 kg/m3
 COIL_NAMES = ("lower", "upper")
@@ -85,7 +88,7 @@ TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session"
 
 
 class Coils(ConductorKeys, Catch):
-    """Electromagnetic catch actuator; real coils may have a driver."""
+    """Keys of an electromagnetic catch actuator, whose coils may have a driver."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None, description="Driver between controller and coils, { TYPE = { keys } }"
@@ -103,8 +106,9 @@ class Coils(ConductorKeys, Catch):
     )
 
 
-# One current i through both coils, i2 = i and i1 = -i, as in the control loop: functions of
-# height, by powers of i, each the sum of the table's coefficients times these weights.
+# In the control loop, one current i flows through both coils: i2 = i and i1 = -i. The force is then
+# a polynomial of i. These weights convert the coefficients of the table to the coefficients of this
+# polynomial.
 SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
@@ -123,17 +127,17 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 def rated_heating(keys: Coils) -> float:
     """Return the integral of the squared current [A^2 s] for the rated temperature rise.
 
-    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns.
+    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns, with the
+    heat capacity c and the cross-section A of the wire.
     """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
 
 
 def _force_contributions(values: np.ndarray, current: float) -> np.ndarray:
-    """Contributions of each of :data:`SERIES_COEFFICIENTS` to the force at ``current`` [A] (3,
-    heights).
+    """Return the contribution (3, heights) of each of :data:`SERIES_COEFFICIENTS` to the force.
 
-    ``values`` (heights, 6) are the coefficients of the table.
+    The force is for the ``current`` [A]. ``values`` (heights, 6) are the coefficients of the table.
     """
     weights = np.array(list(SERIES_COEFFICIENTS.values()), dtype=float)
     return current ** np.arange(3)[:, None] * (weights @ values.T)
@@ -151,10 +155,10 @@ def coils_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of the coils, with the force on the node ``v`` of the sphere.
 
-    ``apart``: coils between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF.
-    Otherwise both coils are resistors between ``drive`` and ``ret``, the lower coil reversed:
-    three functions of height instead of six, and the same force. Pins and law come from
-    :func:`kc2spice.physics.coils.declare_coils`.
+    With ``apart``, the coils between ``lp ln`` and ``up un`` have resistance, inductance and
+    back-EMF. Otherwise, both coils are resistors between ``drive`` and ``ret``, the lower coil
+    reversed. The same force then needs three functions of height instead of six. Pins and law come
+    from :func:`kc2spice.physics.coils.declare_coils`.
 
     ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
     the temperature coefficient [1/K] and the reference temperature [K] of the wire; without both,
@@ -221,7 +225,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (*ends, *thermal)
 
     def at_rest(self, part: Part[Coils], scene: WiredScene) -> Rest:
-        """Return the clamps of all pins with a path, except the heat pin, which has no path."""
+        """Return the paths in equilibrium: each pin except the heat pin is fixed to ground."""
         clamps = super().at_rest(part, scene).paths
         return Rest(tuple(path for path in clamps if HEAT not in path))
 
@@ -241,7 +245,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
             yield part.wrong("y_min", "the range of positions is empty", got, "y_min < y_max")
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # part, key, meaning, and the limit of another part with the required order
+            # Part, key, meaning, and the limit of another part, with the required order of both
+            # values.
             rules = (
                 ("no material left", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
@@ -283,7 +288,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[Penetration]:
-        """Yield the indentation of the sphere after a fall from the end of the table."""
+        """Yield the indentation by the sphere after a fall from the upper end of the table."""
         sphere = sphere_of(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -306,7 +311,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _make_unit_catch(self, part: Part[Coils], count: int) -> Catch:
-        """Return the keys that determine a force table, besides the sphere's radius."""
+        """Return the keys that determine a force table, in addition to the sphere's radius."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
@@ -316,9 +321,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
-        """Compute the table for unit remanence, then scale and shift it, which is exact.
+        """Compute the force table for unit remanence, then scale and shift the table exactly.
 
-        A ``full`` table is so dense that the interpolation error of its splines is
+        A ``full`` table has so many heights that the interpolation error of its splines is
         ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
@@ -379,7 +384,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return result
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
-        """Return the force on the sphere at ``v``, computed from height and currents."""
+        """Return the magnetic force on the sphere, computed from its height and the currents."""
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}
@@ -428,7 +433,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def finer_mesh(
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Yield the changes of force and inductance with cells half as wide."""
+        """Yield the changes of force and inductance if the cells of the mesh are half as wide."""
         from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
@@ -567,7 +572,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
 
 def plot_force(part: Part[Coils], build: Build) -> Figure:
-    """Plot the force over height without current, with equal currents, and with opposite ones."""
+    """Plot the force over height without current, and with equal and with opposite currents."""
     table = build.model(part, EMTable)
     limit = largest_current(part, build.scene) or DEFAULT_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
@@ -582,7 +587,7 @@ def plot_force(part: Part[Coils], build: Build) -> Figure:
 
 
 def plot_impedance(part: Part[Coils], build: Build) -> Figure:
-    """Plot ``|R + j w L|`` of each coil, and of both in series with opposite currents."""
+    """Plot ``|R + j w L|`` of each coil, and of both coils in series with opposite currents."""
     table = build.model(part, EMTable)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
     currents = {"lower": (1.0, 0.0), "upper": (0.0, 1.0), "both": (1.0, -1.0)}
@@ -595,24 +600,26 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
 
 
 def result_prefix(part: Part[Coils]) -> str:
-    """First word of the result names: ``coil`` for the paper's catch, otherwise the part's
-    name."""
+    """Return the prefix of result names:
+
+    ``coil`` for the paper's catch, else the part's name.
+    """
     return "coil" if part.name == "catch" else part.name
 
 
 def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Whether a circuit drives the terminals of its coils: they have inductance and back-EMF."""
+    """Return whether a circuit drives the coils, which then have inductance and back-EMF."""
     joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in COIL_PINS)
     return bool(part.keys.driver) or joined
 
 
 def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Whether the netlist of the part has terminals of both coils."""
+    """Return whether the netlist of the part has terminals of both coils."""
     return has_real_coils(part, scene) or bool(scene.of("current_cases"))
 
 
 def _format_end(height: float) -> str:
-    """Return an end of a force table [mm] that is beyond a height [m] of the sphere."""
+    """Return an end [mm] of a force table that contains a height [m] of the sphere, as text."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
@@ -637,24 +644,22 @@ def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
 
 
 def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
-    """Largest coil current [A] of the controllers of the scene.
+    """Return the largest coil current [A] of the controllers of the scene.
 
-    The current is 1 A if another part drives the coils, and 0 without a drive.
+    The result is 1 A if another part drives the coils, and 0 without a drive.
     """
     limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 
 def interpolation_error(table: EMTable, current: float) -> float:
-    """Estimated error of the spline over the height, relative to the largest force.
+    """Return the estimated error of the spline over the height, relative to the largest force.
 
-    The force is the largest one up to ``current`` [A] in both coils.
-
-    With twice the spacing of heights, the error of a fine spline is 16 times larger. Measured
-    ratios are at least 11 (the paper's magnets with 9 positions). The estimate is the error of a
-    spline through every second height divided by a ratio of at most 8. The ratio is smaller if the
-    error of a spline through every fourth height is less than 8 times larger, and 1 with too few
-    heights.
+    The largest force is for currents up to ``current`` [A] in both coils. With twice the spacing of
+    heights, the error of a fine spline is 16 times larger; measured ratios are at least 11 (the
+    paper's magnets with 9 positions). The estimate is the error of a spline through every second
+    height, divided by a ratio of at most 8. The ratio is smaller if the error of a spline through
+    every fourth height is less than 8 times larger. With too few heights, the ratio is 1.
     """
     values = table.coefficients
     largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())
@@ -670,7 +675,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
 
 
 def distance_outside(table: EMTable, y: np.ndarray) -> float:
-    """Largest distance [m] of the heights ``y`` [m] outside the table."""
+    """Return the largest distance [m] by which the heights ``y`` [m] are outside the table."""
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
 
 

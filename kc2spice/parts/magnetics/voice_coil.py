@@ -1,4 +1,4 @@
-"""A voice coil on a suspension, both of which depend on the stroke."""
+"""Voice coil and suspension whose properties depend on the stroke."""
 
 from typing import Annotated
 
@@ -13,8 +13,10 @@ from kc2spice.scene.parttype import register
 
 
 class VoiceCoilKeys(ConductorKeys):
-    """``Bl(x) = bl + bl1 x + bl2 x^2``, ``Cms(x) = cms + cms1 x + cms2 x^2``: the force of the coil
-    is ``Bl(x) i``, that of the suspension ``x / Cms(x)``, and the coil's voltage is
+    """Keys of a voice coil and its suspension.
+
+    ``Bl(x) = bl + bl1 x + bl2 x^2``, ``Cms(x) = cms + cms1 x + cms2 x^2``. The force of the coil is
+    ``Bl(x) i``, the force of the suspension is ``x / Cms(x)``, and the voltage of the coil is
     ``resistance i + inductance i' + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
 
     resistance: Resistance = Field(gt=0, description="Resistance of the coil")

@@ -18,12 +18,12 @@ from kc2spice.core.quantities import (
     si,
 )
 
-# N/m; a mass of one gram on this spring rings at 160 GHz, which no simulator can resolve
+# N/m; a mass of one gram on this spring vibrates at 160 GHz, which no simulator can resolve
 MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
-    """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
+    """Keys of a penalty contact, with one spring for each port of ``a`` (paper, equation 10)."""
 
     penalty: Stiffness = Field(
         1e8,

@@ -1,15 +1,15 @@
-"""The stop of a moving plate, comb or armature: a spring that returns a part of the impact energy.
+"""Stop of a moving plate, comb or armature: a spring that returns a part of the impact energy.
 
-Beyond ``travel`` its force at the indentation d and the speed v, which d grows with, is::
+Beyond ``travel``, the force at the indentation d and its rate v = dd/dt is::
 
     F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
     loss = (1 - restitution^2) / (1 + restitution^2)
 
-Without ``damping``, a mass faster than ``slow`` meets ``1 + loss`` times the stiffness on its way
-in, and ``1 - loss`` times the stiffness on its way out. For any mass, the share ``restitution^2``
-of the energy remains. Slower masses come to rest (O. R. Walton, R. L. Braun, J. Rheol. 30 (1986)
-949). The damping is derived from the stiffness. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42
-(1975) 440.
+Without ``damping``, the stiffness for a mass faster than ``slow`` is ``1 + loss`` times the stop
+stiffness while d increases, and ``1 - loss`` times while d decreases. For any mass, the share
+``restitution^2`` of the energy remains. Slower masses come to rest (O. R. Walton, R. L. Braun, J.
+Rheol. 30 (1986) 949). The damping is proportional to the stiffness (H. Hunt, F. R. E. Crossley, J.
+Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated
@@ -18,7 +18,8 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Ratio, Section, si
 
-MIN_STRIKE_VELOCITY = 1e-4  # m/s; at this velocity, an impact rebounds by a nanometre under 5 m/s2
+# m/s; after an impact at this velocity, a mass rebounds by a nanometre against 5 m/s2
+MIN_STRIKE_VELOCITY = 1e-4
 
 
 class StoppedCoordinate(Section):
@@ -50,11 +51,14 @@ STOP_NEGLECTED = (
 
 
 def energy(indentation: str, share: str = "") -> str:
-    """Energy of the stop's spring, times ``share``; ``indentation`` is negative before a strike."""
+    """Write the energy of the stop's spring times ``share``, as an expression.
+
+    ``indentation`` is negative before the stop is reached.
+    """
     return f"0.5*{share}stop*max(0, {indentation})^2"
 
 
 def lost_force(indentation: str, rate: str, share: str = "") -> str:
-    """Additional dissipative force on the coordinate with the velocity ``rate``."""
+    """Write the dissipative force of the stop on the coordinate with the velocity ``rate``."""
     factor = f"(loss*{rate}/sqrt({rate}^2 + slow*slow) + damping*{rate})"
     return f"{share}stop*max(0, {indentation})*{factor}"

@@ -29,25 +29,25 @@ if TYPE_CHECKING:
 
 FLOOR_PORT = "floor"  # port of a rigid plane
 SPHERE_PATCH = "patch"  # port of an elastic sphere
-# Ratio of the error of the pressure basis to the change by a basis half as wide. The measured ratio
-# is 1.8, from a basis a quarter as wide.
+# Ratio of the error of the pressure basis to the change of the force by basis functions half as
+# wide. A comparison with functions a quarter as wide gives 1.8.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of the chip; a shorter flight is a bounce within the kick
-# safety factor on an indentation, because a body is not a half-space and few rings carry the force
+# Safety factor on an indentation, because a body is not a half-space and few rings carry the force.
 _INDENTATION_MARGIN = 1.25
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface of a part in a contact: its pins there and their distance from the axis [m].
+    """Surface of a part in a contact, with its pins and their distance [m] from the axis.
 
-    ``ports`` give the position in um and receive the force. The force on a rigid part acts on the
-    ``velocity`` pin instead. ``radius`` [m] is the radius of a sphere, None for a plane.
-    ``sectors`` is the number of symmetry sectors if the stiffness is per sector. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under a
-    pressure basis, with the response time ``pace`` [s]. ``elastic`` is the part with the port
-    ``patch``, if the surface is rigid. ``modulus`` [Pa] is the indentation modulus if the surface
-    is a half-space.
+    ``ports`` are the pins whose voltage is the position in um, and on which the force acts. For a
+    rigid part, the force acts on the pin ``velocity`` instead. ``radius`` [m] is the radius of a
+    sphere, None for a plane. ``sectors`` is the number of symmetry sectors if the stiffness applies
+    to one sector. For a port that is a patch with a pressure basis, ``patch`` [m] is its radius,
+    ``compliance`` is its compliance, and ``pace`` [s] is its response time. ``elastic`` is the part
+    with the port ``patch``, if the surface is rigid. ``modulus`` [Pa] is the indentation modulus if
+    the surface is a half-space.
     """
 
     part: str
@@ -64,16 +64,16 @@ class Surface:
 
     @property
     def rigid(self) -> bool:
-        """Whether forces act on a velocity node."""
+        """Whether contact forces act on the pin ``velocity``."""
         return bool(self.velocity)
 
     @property
     def force_pins(self) -> tuple[str, ...]:
-        """Pins on which the force acts."""
+        """Pins on which the contact force acts."""
         return (self.velocity,) if self.velocity else self.ports
 
     def joins(self, pins: Iterable[str], scene: GovernedScene) -> dict[str, str]:
-        """Pins of the moving part to which the contact's pins on this side are joined."""
+        """Return the pins of the moving part to which this side of the contact is joined."""
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
         owner = scene.movers.get(self.part) or self.part
@@ -81,7 +81,7 @@ class Surface:
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def height(self, port: str, waves: Waveforms) -> np.ndarray | None:
-        """Position [m] of the surface at a port, zero where it touches."""
+        """Return the position [m] of the surface at a port, zero at the first touch."""
         if self.part == GROUND:
             return np.zeros(next(iter(waves.data.values())).size)
         if self.radius is not None and self.rigid:
@@ -99,26 +99,28 @@ class Penetration:
 
 
 class TouchablePart(PartType[KeysT]):
-    """Base of types with a surface for contacts, or that press surfaces together."""
+    """Base of part types that have a surface for contacts, or that press surfaces together."""
 
     def surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
-        """Surface for a contact; None if the part cannot touch."""
+        """Return the surface for a contact; None if the part has no such surface."""
         return None
 
     def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[Penetration]:
-        """Largest indentation that the part can cause in each contact of the scene."""
+        """Yield the largest indentation that the part can cause in each contact of the scene."""
         return ()
 
 
 def find_surface(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
-    """Surface of a part for a contact at these ports, or at ports that the part selects."""
+    """Return the surface of a part for a contact at these ports, or at ports the part selects."""
     return part.type.surface(part, scene, ports) if isinstance(part.type, TouchablePart) else None
 
 
 def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Gap [m] at each distance under a sphere that touches the axis: ``R - sqrt(R^2 - r^2)``.
+    """Return the gap [m] under a sphere at distances from the axis on which it touches a plane.
+
+    The gap is ``R - sqrt(R^2 - r^2)``.
 
     The form ``r^2 / (R + sqrt(R^2 - r^2))`` avoids cancellation.
     """
@@ -128,9 +130,10 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pair:
-    """Both sides of a contact.
+    """Both sides of a contact:
 
-    ``a`` with one or several ports, and ``b``, whose rise opens the contact.
+    ``a`` below and ``b`` above. Side ``a`` has one or several ports. The contact opens if ``b``
+    rises.
     """
 
     part: Part[ContactKeys]
@@ -143,12 +146,12 @@ class Pair:
 
     @cached_property
     def a(self) -> Surface:
-        """The side below."""
+        """Surface of the lower side."""
         return self._side("a", spherical=False)
 
     @cached_property
     def b(self) -> Surface:
-        """The side above."""
+        """Surface of the upper side."""
         return self._side("b", spherical=True)
 
     def _side(self, key: str, *, spherical: bool) -> Surface:
@@ -188,14 +191,14 @@ class Pair:
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Gap [m] at every port of ``a`` when both sides are at rest."""
+        """Gap [m] at each port of ``a`` with both sides at rest."""
         distance = np.array(self.a.distance)
         curved = 0.0 * distance if self.b.radius is None else ring_gaps(distance, self.b.radius)
         return np.asarray(curved + self.keys.gap)
 
     @cached_property
     def ports(self) -> tuple[str, ...]:
-        """Ports of ``a`` that get a spring, the nearest to the axis first."""
+        """Ports of ``a`` with a contact spring, beginning with the port nearest to the axis."""
         rings, ports = self.keys.rings, self.a.ports
         if rings == "all" or len(ports) == 1 or list(self.a.distance) != sorted(self.a.distance):
             return ports
@@ -218,7 +221,7 @@ class Pair:
 
     @property
     def starts_moving(self) -> bool:
-        """Return whether a side may start with a velocity; a ceiling never moves."""
+        """Return whether a side can have an initial velocity; a rigid ceiling never moves."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     def forces(self, waves: Waveforms) -> np.ndarray:
@@ -234,10 +237,10 @@ class Pair:
         A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
         sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove
         of opening angle g, the indentation of both flanks is ``s x``, ``s = sin(g/2)``, and the
-        part ``s`` of their force acts along the axis. The stiffness is ``2 s^(1 + power)`` times
-        the stiffness of one flank, and the damping depends on the closing speed ``s x'``. The
-        normal force of each flank is ``F / (2 s)``, so that the friction along the groove is ``1 /
-        s`` times the coefficient.
+        component ``s`` of the flank forces acts along the axis. The stiffness is ``2 s^(1 +
+        power)`` times the stiffness of one flank, and the damping depends on the closing speed ``s
+        x'``. The normal force of each flank is ``F / (2 s)``, so that the friction along the groove
+        is ``1 / s`` times the coefficient.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -270,7 +273,7 @@ class Pair:
 
     @property
     def _modulus(self) -> float:
-        """``E*`` [Pa] of both sides."""
+        """Combined modulus ``E*`` [Pa] of both sides."""
         if self.keys.modulus is not None:
             return float(self.keys.modulus)
         compliance = 0.0
@@ -293,11 +296,14 @@ class Pair:
 
     @cached_property
     def indentation(self) -> tuple[LocalCompliance, float]:
-        """Compliance of both sides in this basis, and its response time [s]."""
+        """Compliance of both sides for the pressure basis, and its response time [s]."""
         return self._compliance_of(self.shape)
 
     def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
-        """The response time of the pair is the mean of the times of both sides."""
+        """Return the sum of the compliances of both sides, and its response time [s].
+
+        The response time is the mean of the times of both sides.
+        """
         assert self.a.compliance is not None
         result = self.a.compliance(shape)
         if not self.b.elastic:
@@ -323,10 +329,11 @@ class Pair:
         return np.asarray(force / result.sum() * result)
 
     def basis_error(self) -> float:
-        """Return the largest relative difference to a model with a finer basis; 0 for rings.
+        """Return the error estimate of the force due to the pressure basis; 0 for rings.
 
-        The error is the difference to the force of a basis half as wide, at depths from half of the
-        largest depth of the scene. Both forces include the compliance of the patch.
+        The estimate is the difference to the force with basis functions half as wide, at depths
+        from half of the largest depth of the scene. Both forces include the compliance of the
+        patch.
         """
         from kc2spice.bodies.pressure import choose_pressure_basis
 
@@ -345,11 +352,11 @@ class Pair:
     # --- motion -----------------------------------------------------------------------------------
 
     def pushed_depth(self, waves: Waveforms) -> np.ndarray | None:
-        """Indentation [m] by a part that pushes side ``b``; None if the side moves freely."""
+        """Return the indentation [m] if a part pushes side ``b``; None if ``b`` moves freely."""
         return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
     def lowest_point(self, waves: Waveforms) -> np.ndarray | None:
-        """Position [m] of side ``b`` at its lowest point, zero where it touches."""
+        """Return the position [m] of side ``b`` at its lowest point, zero at the first touch."""
         depth = self.pushed_depth(waves)
         result = self.b.height(self.b.ports[0], waves) if depth is None else -depth
         if not self.b.elastic or result is None:
@@ -393,8 +400,9 @@ def impact_penetration(
 ) -> Iterator[Penetration]:
     """Yield the indentation of bodies by a sphere that arrives with ``speed`` [m/s].
 
-    The static state stores the least energy of an indentation. The static law therefore gives a
-    bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
+    Among all states with the indentation d, the static state has the smallest stored energy. The
+    static law therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz
+    1881).
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.of("contact"):
@@ -414,15 +422,17 @@ def impact_penetration(
 def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Return time [s] and velocity [m/s] at the end of the contact before the flight, or None.
+    """Return time [s] and velocity [m/s] at the launch, the end of the contact before the flight.
+
+    The result is None without a flight.
 
     In contact, the force is proportional to ``overlap**power``.
 
-    A gap is a flight if it lasts 20 us or until the data end. A body that rebounds and strikes
-    again later also leaves such an interval without contact. The launch is the first flight with at
-    least half of the largest speed among the flights that begin within 20 us after ``busy`` [s],
-    the end of the drive. If no flight is that fast, the launch is the first flight. By default, the
-    end of the drive is unknown, and all flights are compared.
+    A gap is a flight if it lasts 20 us or until the data end. An interval without contact also
+    occurs if a body rebounds and strikes again later. The launch is the first flight with at least
+    half of the largest speed among the flights that begin within 20 us after ``busy`` [s], the end
+    of the drive. If no flight has half of this speed, the launch is the first flight. By default,
+    the end of the drive is unknown, and all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
@@ -441,9 +451,10 @@ def find_separation(
 def _extrapolate_release(
     t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int
 ) -> tuple[float, float]:
-    """Extrapolate the load to zero, and the velocity from the flight back to that instant.
+    """Return time and velocity at the instant at which the extrapolated force is zero.
 
-    Velocity still changes under load after the last loaded sample, but is constant in flight.
+    The velocity is extrapolated from the flight back to this instant: it still changes under load
+    after the last loaded sample, but is constant in flight.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:
@@ -457,8 +468,8 @@ def _extrapolate_release(
 def last_source_change(scene: WiredScene) -> float:
     """Return the time [s] at which the last source stops changing.
 
-    Sources that are joined only to controllers are ignored. The time is infinite if no other
-    source changes, or if one of the others never stops.
+    Sources that are joined only to controllers are ignored. The time is infinite if no other source
+    changes, or if another source never stops changing.
     """
     ends = []
     for source in scene.of_schema("source", SourceKeys):

@@ -44,34 +44,35 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
-# Pass limits of the launch velocity against the full-order model: as a multiple of the error
-# estimate of the reduction, whose band it exceeds; without a certificate, relative; and the largest
-# relative limit. A pointwise error at a sharp resonance may be any number, and runs print a warning
-# of loads with an error above 1 %.
+# Pass limits of the relative difference between launch velocities with the reduced and the full
+# model: a multiple of the error estimate of the reduction, the limit without a certificate, and the
+# largest limit. The largest limit is necessary because a pointwise error at a sharp resonance can
+# be arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
-# largest energy that the springs may gain or lose, relative to the energy that passed through them
+# Largest energy that the springs may gain or lose, relative to the energy that flowed through them.
 MAX_ENERGY_ERROR = 1e-3
-# basis functions across the radius of a contact: the error is 5e-3, with half as many 3e-2
+# Number of basis functions across the radius of a contact, for an error of 5e-3; with half as many,
+# the error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest error estimate of the force due to the pressure basis functions
-MAX_RING_MOTION = 0.95  # largest motion of an omitted ring, relative to its gap
-# Contact events of a kick multiplied by reltol, up to which this reltol is sufficient: every event
-# adds the error of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit
-# had launch errors of 9e-4.
+MAX_RING_MOTION = 0.95  # largest displacement at an omitted ring, relative to the gap of this ring
+# Largest product of reltol and the number of contact events of a kick, because every event adds the
+# error of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had
+# launch errors of 9e-4.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # m above the body at t = 0 that counts as resting on it
 CONTACT_FREQUENCY = 500e3  # Hz, frequency at which a contact excites bodies
-# factors of solver.reltol for Hertzian and for damped contacts
+# Factors on solver.reltol for Hertzian and for damped contacts.
 CURVED_RELTOL_FACTOR = 0.1
 DAMPED_RELTOL_FACTOR = 0.01
-MIN_EVENTS = 20  # number of events that any reltol resolves
+MIN_EVENTS = 20  # number of contact events up to which every reltol is sufficient
 INDENTATION_PIN = "dent"  # pin that is joined to the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
-    """The part type of contacts; the law of a contact depends on its keys and on both parts."""
+    """Part type ``contact``; the law of a contact depends on its keys and on both parts."""
 
     name = "contact"
     title = "unilateral penalty contact"
@@ -79,7 +80,7 @@ class Contact(DeclaredPart[ContactKeys]):
     schema = ContactKeys
 
     def detail(self, part: Part[ContactKeys], scene: GovernedScene) -> Pair:
-        """Both sides of the contact."""
+        """Return both sides of the contact, for other parts."""
         return Pair(part, scene)
 
     def declared(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
@@ -109,7 +110,7 @@ class Contact(DeclaredPart[ContactKeys]):
         )
 
     def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
-        """Return clamps, and paths through surfaces that touch at rest."""
+        """Return the paths in equilibrium, with paths through surfaces that touch at rest."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -121,7 +122,7 @@ class Contact(DeclaredPart[ContactKeys]):
         """Yield tighter tolerances for damped and curved laws.
 
         The errors of the trapezoidal rule at closing and opening cancel only for a linear spring.
-        Rebounds that lose 0 to 70 % of their energy then have errors of 1.5e-4.
+        With these tolerances, rebounds that lose 0 to 70 % of their energy have errors of 1.5e-4.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = (
@@ -148,7 +149,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.normal  # the type checker cannot infer this
+            assert pair.normal  # the type checker cannot infer this type
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
@@ -304,7 +305,7 @@ def _declare(
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
 ) -> Declaration:
-    """Declare the contact of both sides."""
+    """Declare the contact law of a pair."""
     ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
     carried, gaps = INDENTATION_PIN if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
@@ -312,7 +313,7 @@ def _declare(
 
 
 def _sum_factors(pair: Pair) -> dict[str, float]:
-    """Return factors of results that are sums of forces; ``flank`` only in a groove."""
+    """Return the factors of results that are sums of forces; only a groove has ``flank``."""
     return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
 
 
@@ -352,10 +353,10 @@ def _loaded_interval(force: np.ndarray) -> slice:
 
 
 def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
-    """Yield the energy balance of the springs: work, stored energy and damping.
+    """Yield the energy balance of the contact springs: work, stored energy and damping losses.
 
-    Springs release all energy that they store. A gain of energy indicates a rebound that is too
-    high. The scale is the work on the springs, or their stored energy if nothing moves.
+    Springs release all stored energy. A gain of energy indicates a rebound that is too high. The
+    scale is the work on the springs, or their stored energy if nothing moves.
     """
     normal, ports = pair.normal, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
@@ -396,7 +397,7 @@ def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
 
 
 def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
-    """Yield checks of the deepest penetration, and of the number of contacts during the drive."""
+    """Yield checks of the largest indentation, and of the number of contacts during the drive."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.normal.stiffness
@@ -421,14 +422,14 @@ def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
 def _check_open_ports(
     pair: Pair, build: Build, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
-    """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
+    """Yield the check *outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
-    Nothing records that port. The check assumes that the next port, without contact, rises with the
-    outermost port of the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj
-    F_j``. The indentation of this port only increases the distance to the sphere. S is the static
-    compliance, because the response time over the spacing of one ring is negligible. Compared with
-    models with all rings, the estimate is 10 to 100 % above the largest motion of the next ring,
-    and never more than 5 % of its gap below.
+    No result contains the displacement of this port. The check assumes that this port rises like
+    the outermost port of the model, plus the indentation of the outermost port by the recorded
+    forces, ``u_K + sum_j S_Kj F_j``. Any indentation of the port itself only increases its distance
+    to the sphere. S is the static compliance, because the response time over the spacing of one
+    ring is negligible. Models with all rings show that the estimate is 10 to 100 % above the
+    largest displacement of the next ring, or below it by at most 5 % of the gap.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:
@@ -457,10 +458,10 @@ def _check_open_ports(
 
 
 def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
-    """Yield checks of the indentation, for a law of pressure.
+    """Yield checks of the indentation for a contact with a pressure basis.
 
-    The law holds until the contact is as wide as half of its patch. The law is inaccurate if a few
-    basis functions carry the contact (:data:`FUNCTIONS_PER_RADIUS`).
+    The law holds until the contact radius is half of the patch radius. The law is inaccurate if
+    only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:

@@ -1,4 +1,4 @@
-"""A spring whose force has a cubic term, between two displacement pins."""
+"""Spring whose force has a cubic term, between two displacement pins."""
 
 from typing import Annotated
 
@@ -10,7 +10,7 @@ from kc2spice.scene.parttype import register
 
 
 class CubicSpringKeys(Section):
-    """``F = stiffness x + cubic x^3``; ``cubic`` below zero softens."""
+    """Keys of a spring with ``F = stiffness x + cubic x^3``; a negative ``cubic`` softens it."""
 
     stiffness: Stiffness = Field(gt=0, description="Stiffness at small elongation")
     cubic: Annotated[float, si("N/m3")] = Field(

@@ -33,7 +33,8 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-# end of the band relative to the lowest natural frequency; the band contains the radial mode
+# Ratio of the end of the band to the lowest natural frequency, so that the band contains the radial
+# mode.
 BAND_RATIO = 2.0
 
 
@@ -99,9 +100,9 @@ elastic = true
     def surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
-        """Return the patch on its sphere that a contact names as port; otherwise None.
+        """Return the patch of the sphere if a contact names it as a port; otherwise None.
 
-        A contact touches the sphere, so this part has no other surface.
+        Any other contact touches the part ``sphere``.
         """
         if ports != (SPHERE_PATCH,):
             return None
@@ -194,7 +195,7 @@ def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIs
 
 
 def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
-    """The only contact of the sphere, with a pressure basis."""
+    """Return the only contact of the sphere, which must have a pressure basis."""
     owner = scene.parts[part.keys.of]
     pairs = (
         (contact, make_pair(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)

@@ -36,11 +36,12 @@ _FRAME_PIN = "frame"  # pin of the acceleration of a frame; the pin of a second 
 
 
 class MassKeys(Section):
-    """``F = m x''``, less ``m g`` with ``weight``. If the mass is joined to a body whose ``base``
-    has the acceleration ``a``, ``x`` is relative to this frame, and the force ``-m a`` acts in
-    addition. If the mass has a support, a transient begins in equilibrium unless ``position`` or
-    ``velocity`` is given. Without a support, the transient begins at ``position`` with
-    ``velocity``.
+    """Keys of a point mass with ``F = m x''``; ``weight`` adds the force ``-m g``.
+
+    If the mass is joined to a body whose ``base`` has the acceleration ``a``, ``x`` is relative to
+    this frame, and the force ``-m a`` acts in addition. If the mass has a support, a transient
+    begins in equilibrium unless ``position`` or ``velocity`` is stated. Without a support, the
+    transient begins at ``position`` with ``velocity``.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
@@ -60,7 +61,10 @@ class MassKeys(Section):
 
 
 def _frames(count: int) -> list[str]:
-    """Pins of the accelerations of a frame: ``frame``, ``frame2``, ``frame3``."""
+    """Return the names of acceleration pins of frames:
+
+    ``frame``, ``frame2``, ``frame3``.
+    """
     return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
 
@@ -153,14 +157,14 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return Surface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
-        """Position [m] and velocity [m/s] at t = 0, None if it starts in equilibrium.
+        """Return position [m] and velocity [m/s] at t = 0; None if the mass starts in equilibrium.
 
-        If masses are fixed to each other, the first mass has the state.
+        If several masses are fixed to each other, the first mass determines the initial state.
 
         Raises
         ------
-        UsageError : a state is given, but the part to which the mass is fixed has another initial
-            state.
+        UsageError : the keys state an initial state, but the part to which the mass is fixed has
+        another initial state.
         """
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity
@@ -189,7 +193,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Return no checks: a mass at rest exchanges less energy than the steps lose."""
+        """Return no checks: the energy of a mass near rest is smaller than errors of time steps."""
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:
@@ -214,7 +218,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
 
 def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
-    """Return the accelerations that shake the frame of the mass."""
+    """Return the accelerations of the frames to which the mass belongs."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 

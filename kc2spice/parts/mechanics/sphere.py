@@ -53,12 +53,13 @@ AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
 REST_STATE = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # relative to the step from rest to set point
-# largest missing fraction of the work; a launch then has an error of about 1e-3
+# Largest error of the work, as a fraction; with this error, a launch velocity has an error of about
+# 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
 def _default_density(keys: dict[str, Any]) -> float:
-    """Density [kg/m^3] of the material of a sphere, by default steel."""
+    """Return the density [kg/m^3] of the material of a sphere, by default steel."""
     material = keys.get("material")
     return STEEL_DENSITY if material is None else _load_material(material).density
 
@@ -72,7 +73,7 @@ def _load_material(name_or_table: str | dict[str, Any]) -> Material:
 
 
 class SphereKeys(Section):
-    """Sphere, vertical motion only; rigid unless ``elastic``."""
+    """Keys of a sphere that moves vertically; it is rigid without the key ``elastic``."""
 
     radius: Length = Field(1e-3, gt=0, description="Radius of the sphere")
     material: str | dict[str, Any] | None = Field(
@@ -108,7 +109,7 @@ class SphereKeys(Section):
     def _require_known_material(
         cls, material: str | dict[str, Any] | None
     ) -> str | dict[str, Any] | None:
-        """Refuse a material that is not in the table."""
+        """Reject a material that is not built in."""
         if material is not None:
             _load_material(material)
         return material
@@ -130,10 +131,10 @@ class SphereKeys(Section):
 def rigid_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
-    """Declaration of a sphere by the height x of its lowest point above first touch.
+    """Declare a sphere with the height x of its lowest point above the first touch.
 
-    As a difference of heights of the centre, an indentation of a picometre would be a rounding
-    error. Without ``uic`` ngspice starts from the operating point.
+    If x were the height of the centre, an indentation of a picometre would be within rounding
+    errors. Without ``uic``, ngspice starts from the operating point.
     """
     declaration = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
@@ -238,7 +239,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             or part.name in build.scene.initial_states
         ):
             return {}
-        # a sphere without support starts at rest at the height where it touches the body below
+        # A sphere without support starts at rest, at the height at which it touches the body below.
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Vector]:
@@ -273,9 +274,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def checks(
         self, part: Part[SphereKeys], build: Build, waves: Waveforms
     ) -> Iterator[Balance | Gate]:
-        """Work of all forces on the sphere against its kinetic energy.
+        """Yield the check of the work of all forces against the kinetic energy of the sphere.
 
-        The scale is the sum of the magnitudes of all work.
+        The scale of the error is the sum of the magnitudes of all work.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
@@ -366,39 +367,39 @@ def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 
 def sphere_material(part: Part[SphereKeys]) -> Material:
-    """Material of the sphere, by default steel, with the density of the sphere."""
+    """Return the material of the sphere, by default steel, with the density of the sphere."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
 def _elastic_part(part: Part[SphereKeys]) -> str:
-    """Name of the part that models the elasticity; empty for a rigid sphere."""
+    """Return the name of the part that models the elasticity; empty for a rigid sphere."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
 def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
-    """The sphere whose height a controller controls."""
+    """Return the sphere whose height a controller controls."""
     ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
     return None if ball is None else ball.with_schema(SphereKeys)
 
 
 def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
-    """Half the width [m] of the band around the set point within which the sphere has settled."""
+    """Return half the width [m] of the band around the set point in which a sphere has settled."""
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
 def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool:
-    """Whether another part prescribes its motion."""
+    """Return whether another part prescribes the motion of the sphere."""
     return scene.movers.get(part.name) is not None
 
 
 def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Return the height [m] of the centre at a pin, minus the coordinate of the law."""
+    """Return the difference [m] between the centre's height at a pin and the law's coordinate."""
     ball = _sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
 def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
-    """Height of the centre [m] at t = 0, None if it follows from an operating point."""
+    """Return the height [m] of the centre at t = 0; None if an operating point determines it."""
     ball, states = _sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
         return None
@@ -406,7 +407,7 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
 
 
 def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
-    """Sphere whose height a pin reads."""
+    """Return the sphere whose height a pin reads."""
     for name, other in scene.joined(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
             return scene.parts[name].with_schema(SphereKeys)
@@ -424,7 +425,7 @@ def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
 
 
 def _neglected_air_drag(keys: SphereKeys) -> Neglected:
-    """Schiller-Naumann drag on a sphere at 1 m/s, against its weight."""
+    """Return the neglected drag of Schiller and Naumann at 1 m/s, relative to the weight."""
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY
     coefficient = 24 / reynolds * (1 + 0.15 * reynolds**0.687)
