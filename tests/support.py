@@ -48,12 +48,12 @@ NAMES_BY_MODULE = {
     "kc2spice.core.errors": (
         "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError"
     ),
-    "kc2spice.core.extras": "LIBRARIES import_optional",
+    "kc2spice.core.extras": "OPTIONAL_LIBRARIES import_optional",
     "kc2spice.core.figure": "Curve Figure Map Panel",
     "kc2spice.core.files": "stage_directory",
     "kc2spice.core.magnets": "EMTable TEST_CURRENTS compute_test_forces current_products",
     "kc2spice.core.memory": "available_bytes",
-    "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES mesh_errors",
+    "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
     "kc2spice.core.plugins": "load_plugin plugin_names",
     "kc2spice.core.prefix": "format_quantity format_value_and_limit",
     "kc2spice.core.probe_values": "mean_frequency",
@@ -61,8 +61,8 @@ NAMES_BY_MODULE = {
         "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
     ),
     "kc2spice.core.quantities": (
-        "BOLTZMANN DEFAULT_TEMPERATURE Notch Ratio Section _parse_unit plausible_range_of "
-        "quantity submodel validate"
+        "BOLTZMANN DEFAULT_TEMPERATURE RefinementRule Ratio Section _parse_unit plausible_range_of "
+        "quantity find_section validate"
     ),
     "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
@@ -218,7 +218,7 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.varying": "Varying reduce_over_ranges",
     "kc2spice.rom.varying_io": "read_varying",
     "kc2spice.scene": "noise_analysis parttype resolve",
-    "kc2spice.scene.axes": "describe_plan find_axes",
+    "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
     "kc2spice.scene.checks": "Balance Check Gate Verdict require_passed",
     "kc2spice.scene.compose": "describe_nets",

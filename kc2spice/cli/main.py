@@ -299,8 +299,8 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     estimated size.
     """
     from kc2spice.core.progress import Clock
-    from kc2spice.scene.axes import describe_plan
     from kc2spice.scene.model import scene_hash
+    from kc2spice.scene.numerical_settings import describe_plan
     from kc2spice.workflow.models import build_models
 
     loaded = _load_scene(scene, set_)

@@ -1,8 +1,8 @@
 """Cache of expensive results on disk; the key of an entry is a hash of all inputs.
 
-An entry is an ``.npz`` archive: arrays without pickle, and one JSON text with their structure. An
-entry is written under a temporary name and then renamed, so other processes read complete entries
-only. Checksums of the members show that an entry is damaged, and a damaged entry is computed again.
+An entry is an ``.npz`` archive of arrays, without pickle, and of one JSON text with the structure
+of the result. An entry is written under a temporary name and then renamed, so other processes read
+complete entries only. Checksums detect a damaged entry, which is then computed again.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from kc2spice.core.untrusted_files import read_archive
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
-_INCOMPLETE_FILE_AGE = 3600.0  # s after which an incomplete file of a killed process is deleted
+_INCOMPLETE_FILE_AGE = 3600.0  # s, age at which an incomplete file is deleted
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
-# Environment variable of the cache directory of each platform, and its default below the home
-# directory.
+# Environment variable with the cache directory of each platform, and the default directory below #
+# the home directory.
 _CACHE_DIRECTORIES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
 def cache_dir() -> Path:
-    """Return ``$KC2SPICE_CACHE``, or the platform's directory for caches."""
+    """Return the directory ``$KC2SPICE_CACHE``, or the platform's directory for caches."""
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
     variable, below = _CACHE_DIRECTORIES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
@@ -71,20 +71,20 @@ def load_or_build(
     classes: Iterable[type] = (),
     sources: Iterable[str] = (),
 ) -> T:
-    """Return the stored result of an earlier ``build()``, or the result of a new call.
+    """Return the stored result of an earlier call of ``build()``, or call ``build()``.
 
     Parameters
     ----------
-    kind : sub-directory for this kind of result.
+    kind : name of the sub-directory for results of this kind.
     key : values on which the result depends: scene sections, numbers, strings, lists, mappings.
-    build : makes the result: dataclasses, arrays, tuples, dicts with string keys, numbers, strings,
-        None, in any nesting.
+    build : function without arguments that returns the result. The result consists of dataclasses,
+        arrays, tuples, dicts with string keys, numbers, strings and None, in any nesting.
     classes : dataclasses that may occur in the result; no other class is ever restored.
     sources : modules or packages of kc2spice whose source text the result depends on; the modules
-    of ``classes`` are added.
+        of ``classes`` are added.
 
-    If the directory cannot be written, the entry is built again, with a warning and without an
-    error. If another process is building the same entry, the function waits for this process.
+    If the cache directory cannot be written, the function calls ``build()`` and prints a warning.
+    If another process is building the same entry, the function waits for this process.
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
@@ -92,19 +92,18 @@ def load_or_build(
     answer = _load_entry(path, known)
     if answer is None:
         with _lock_entry(path):
-            # another process may have stored the entry while this one waited for the lock
+            # another process may have stored the entry while this process waited for the lock
             answer = _load_entry(path, known)
             if answer is None:
-                _store(path, result := build(), known)
+                _store_result(path, result := build(), known)
                 return result
     return cast(T, answer[0])
 
 
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
-    """Prevent other processes from building the same entry; without file locks, two may build
-    it."""
-    lock = path.with_name(f".{path.stem}.lock.part")  # deleted like any other .part file
+    """Prevent other processes from building the same entry, if the system has file locks."""
+    lock = path.with_name(f".{path.stem}.lock.part")  # deleted like other .part files
     with ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,17 +114,17 @@ def _lock_entry(path: Path) -> Iterator[None]:
 
 
 def _compute_digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
-    """Compute the SHA-256 hash of a key, the sources and the versions of the libraries."""
-    versions = {name: _version(name) for name in _LIBRARIES}
-    texts = {name: _source_digest(name) for name in sources}
+    """Compute the SHA-256 hash of a key, of source texts and of versions of libraries."""
+    versions = {name: _installed_version(name) for name in _LIBRARIES}
+    texts = {name: _compute_source_digest(name) for name in sources}
     content = {"key": key, "libraries": versions, "sources": texts}
     text = json.dumps(content, sort_keys=True, default=_convert_to_json)
     return hashlib.sha256(text.encode()).hexdigest()[:40]
 
 
 @cache
-def _version(library: str) -> str:
-    """Return the installed version of a library, empty if it is missing."""
+def _installed_version(library: str) -> str:
+    """Return the installed version of a library, or ``absent``."""
     try:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
@@ -133,14 +132,14 @@ def _version(library: str) -> str:
 
 
 def _convert_to_json(value: Any) -> Any:
-    """Convert values of a key that JSON lacks: scene sections and numpy scalars."""
+    """Convert scene sections and numpy scalars to JSON values."""
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 
 
-def _source_digest(module: str) -> str:
-    """Compute the hash of the text of a module, or of all modules of a package.
+def _compute_source_digest(module: str) -> str:
+    """Compute the hash of the source text of a module, or of all modules of a package.
 
-    A module without a file, such as a notebook, gets another hash each time.
+    A module without a file, such as a notebook, gets a different hash at each call.
     """
     loaded = sys.modules.get(module)
     spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__
@@ -154,7 +153,7 @@ def _source_digest(module: str) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
+def _store_result(path: Path, result: Any, known: Mapping[str, type]) -> None:
     """Write a result as a cache entry."""
     arrays: dict[str, np.ndarray] = {}
     structure = json.dumps(_encode_value(result, arrays, known)).encode()
@@ -179,7 +178,7 @@ def _delete_unused_entries(root: Path) -> None:
     Files that a killed process left incomplete are deleted after an hour.
     """
     for part in root.glob("*/.*.part"):
-        # another process may have completed or deleted the entry
+        # another process may have renamed or deleted the file
         with contextlib.suppress(OSError):
             if time.time() - part.stat().st_mtime > _INCOMPLETE_FILE_AGE:
                 part.unlink()
@@ -206,13 +205,13 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
             f"the cache entry {path.name} is damaged and is computed again: {error}", stacklevel=3
         )
         return None
-    with contextlib.suppress(OSError):  # a read-only cache is sufficient
-        os.utime(path)  # marks the entry as recently used
+    with contextlib.suppress(OSError):  # in a read-only cache, the time cannot be set
+        os.utime(path)  # the time of the last use
     return (result,)
 
 
 def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """Convert a value to a JSON structure, and move its arrays to ``arrays``.
+    """Convert a value to a JSON structure, and append the arrays in the value to ``arrays``.
 
     Types that JSON lacks become ``{tag: …}``.
     """
@@ -231,7 +230,7 @@ def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str,
 
 
 def _decode_value(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """Restore a value from its JSON structure and its arrays."""
+    """Restore a value from its JSON structure and the list of its arrays."""
     if isinstance(node, list):
         return tuple(_decode_value(item, arrays, known) for item in node)
     if not isinstance(node, dict):

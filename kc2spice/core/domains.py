@@ -1,7 +1,7 @@
-"""Physical domains as one table: quantities of pins, and their units.
+"""Table of the physical domains, with the quantities on their pins and the units.
 
 Ports of models, branches of declarations, pins of netlists, sources, symbols, headers and energy
-balances read this table. A new domain is one row of :data:`TABLE` and its tests.
+balances read :data:`TABLE`. A new domain needs one row of this table, and tests.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-# Descriptions of the power that enters a part through a pin, in terms of its two quantities.
+# Formulas of the power that enters a part through a pin, from the two quantities of the pin.
 Power = Literal[
     "across * through",
     "d(across)/dt * through",
@@ -22,21 +22,21 @@ Side = Literal["across", "through"]
 BASE = "base"
 AMBIENT = "ambient"
 SIGNAL = "-"
-HEAT = "heat"  # pin and flow of the heat that a part gives off
+HEAT = "heat"  # name of the pin through which a part gives off heat, and of the heat flow
 HEAT_PINS = (
     f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
     f"1 A out of {HEAT} is 1 W of all losses of the part"
 )
-SPICE_UNITS = "V", "A"  # units across and through the nodes of a simulator
+SPICE_UNITS = "V", "A"  # across and through units of a simulator
 
 
 @dataclass(frozen=True)
 class Quantity:
     """Physical quantity on a pin.
 
-    ``name`` is its name in sources and branches, ``symbol`` the word in names of results and
-    ``unit`` its SI unit. One volt or one ampere on a pin is one ``pin_unit``, which is ``factor``
-    in SI.
+    ``name`` is the name of the quantity in sources and branches, ``symbol`` its short name in
+    results, and ``unit`` its SI unit. One volt or one ampere on a pin represents one ``pin_unit``,
+    which is ``factor`` times the SI unit.
     """
 
     name: str
@@ -47,34 +47,36 @@ class Quantity:
 
     @property
     def plural_name(self) -> str:
-        """Plural of the name, for messages."""
+        """Plural of the quantity's name, for messages."""
         words = self.name.replace("_", " ")
         return f"{words.removesuffix('y')}ies" if words.endswith("y") else f"{words}s"
 
     @property
     def per_unit(self) -> float:
-        """Volts or amperes on a pin for one SI unit."""
+        """Volts or amperes on a pin that represent one SI unit."""
         return float(f"{1 / self.factor:.15g}")
 
 
 @dataclass(frozen=True, repr=False)
 class Domain:
-    """Physical domain: quantities on its pins, their power, and the meaning of rest.
+    """Physical domain: quantities on pins, their power, and the state of rest.
 
     On all pins of a net, the values of ``across`` are equal, and the values of ``through`` sum to
-    zero. ``power`` states the power that enters a part through a pin. ``rest`` describes an
-    operating point.
+    zero. ``power`` is the formula of the power that enters a part through a pin. ``rest`` describes
+    the state at an operating point.
 
-    ``port`` is the kind of a model's port. The input of a port is the ``driven`` quantity; its
-    output has the unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the
-    name of the output wave in a first deck and ``compliance`` the unit of a static output for
-    each input. The value across a pin counts from the pin ``reference``; without one, ports are
-    pairs of pins. ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is
-    the domain whose quantity accelerates the frame of reference of ``across``.
+    ``port`` is the kind of a model's port in this domain. The input of the port is the quantity on
+    ``input_side``. The output of the port has the unit ``output_unit`` and the short name
+    ``output_symbol`` in results. In the test deck that ``kc2spice reduce`` writes, the wave of the
+    output is called ``output_wave``. ``compliance`` is the unit of the static output divided by the
+    input. The value across a pin is relative to the pin ``reference``; in a domain without a
+    reference pin, ports are pairs of pins. ``rate`` is a second quantity across pins, the time
+    derivative of ``across``. ``frame`` is the domain whose quantity accelerates the frame of
+    reference of ``across``.
 
-    In a domain with a ``path`` every net needs a path to the reference: ``path`` describes it in
-    words, and ``path_part`` is a part type that makes it. A net without a path has no operating
-    point. ``adrift`` is the text of the error for such a net.
+    In a domain with a ``path_to_reference``, a net without a path to the reference has no operating
+    point. ``path_to_reference`` describes possible paths in words, and ``path_part`` is a part type
+    that forms a path. ``floating_error`` is the error text for a net without a path.
 
     Examples
     --------
@@ -89,18 +91,18 @@ class Domain:
     through: Quantity | None
     power: Power
     rest: str
-    driven: Side = "across"
+    input_side: Side = "across"
     port: str = ""
-    answer_unit: str = ""
+    output_unit: str = ""
     compliance: str = ""
-    word: str = ""
-    response: str = ""
+    output_symbol: str = ""
+    output_wave: str = ""
     reference: str = ""
     rate: Quantity | None = None
     frame: str = ""
-    path: str = ""
+    path_to_reference: str = ""
     path_part: str = ""
-    adrift: str = ""
+    floating_error: str = ""
 
     def __repr__(self) -> str:
         """Return a short text of the domain for the interpreter."""
@@ -128,7 +130,7 @@ class Domain:
         return self.across.pin_unit, self.flow
 
     def value_unit(self, letter: str) -> str:
-        """Unit of the value of a V, I, R, C or L element; empty if SPICE has the same unit.
+        """Unit of the value of a V, I, R, C or L element; empty for the units of SPICE.
 
         Examples
         --------
@@ -143,33 +145,33 @@ class Domain:
         return "" if self.units == SPICE_UNITS else units[letter]
 
     @property
-    def potential(self) -> bool:
+    def has_potential(self) -> bool:
         """Whether the value across a pin is a potential, such as a voltage."""
         return self.power in ("across * through", "through")
 
     @property
-    def position(self) -> bool:
+    def has_position(self) -> bool:
         """Whether the value across a pin is a position, whose rate determines the power."""
         return self.power == "d(across)/dt * through"
 
     @property
-    def charged(self) -> bool:
+    def has_charge_output(self) -> bool:
         """Whether a port's output is the integral of its flow, such as a charge."""
-        return self.driven == "across" and self.power == "across * through"
+        return self.input_side == "across" and self.power == "across * through"
 
     @property
     def is_relaxing(self) -> bool:
-        """Whether responses decay without oscillation, because no quantity has inertia (heat)."""
+        """Whether responses decay without oscillation, because the domain (heat) has no inertia."""
         return self.power == "through"
 
     @property
-    def metered(self) -> bool:
+    def can_be_metered(self) -> bool:
         """Whether the two quantities at one pin determine the power through this pin."""
         return self.conservative and self.power != "velocity of the frame * through"
 
     @property
     def kind_of_law(self) -> str:
-        """Kind of the pins in the equations of the reference solver; a frame is a signal."""
+        """Kind of the pins in the equations of the reference solver; ``signal`` for a frame."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
@@ -181,7 +183,7 @@ class Domain:
 
     @property
     def through_variable(self) -> Quantity:
-        """Quantity through a pin of a conservative domain."""
+        """Quantity through a pin of this domain, which must be conservative."""
         assert self.through is not None, f"{self.name} has nothing through its pins"
         return self.through
 
@@ -198,9 +200,9 @@ ELECTRICAL = Domain(
     "across * through",
     "no capacitor carries a current and no inductor has a voltage; a floating net keeps its charge",
     port="electrical",
-    answer_unit="C",
+    output_unit="C",
     compliance="F",
-    response="current",
+    output_wave="current",
 )
 TRANSLATION = Domain(
     "translation",
@@ -208,17 +210,18 @@ TRANSLATION = Domain(
     Quantity("force", "force", "N", "N"),
     "d(across)/dt * through",
     "velocities are zero and forces sum to zero; a spring, a support or a source holds every net",
-    driven="through",
+    input_side="through",
     port="mechanical",
-    answer_unit="m",
+    output_unit="m",
     compliance="m/N",
-    word="u",
-    response="moved",
+    output_symbol="u",
+    output_wave="moved",
     reference=BASE,
     rate=VELOCITY,
     frame="acceleration",
-    path="a spring, a contact, a clamped body or a displacement source between it and gnd",
-    adrift="{part} has no support",
+    path_to_reference="a spring, a contact, a clamped body or a displacement source "
+    "between it and gnd",
+    floating_error="{part} has no support",
 )
 DISPLACEMENT = TRANSLATION.across
 ROTATION = Domain(
@@ -227,15 +230,15 @@ ROTATION = Domain(
     Quantity("torque", "torque", "N m", "Nm"),
     "d(across)/dt * through",
     "angular velocities are zero and torques sum to zero",
-    driven="through",
+    input_side="through",
     port="rotational",
-    answer_unit="rad",
+    output_unit="rad",
     compliance="rad/(N m)",
-    word="angle",
-    response="moved",
+    output_symbol="angle",
+    output_wave="moved",
     reference=BASE,
-    path="a torsion spring, a clamped body or an angle source between it and gnd",
-    adrift="{part} has no support",
+    path_to_reference="a torsion spring, a clamped body or an angle source between it and gnd",
+    floating_error="{part} has no support",
 )
 ACCELERATION = Domain(
     "acceleration",
@@ -244,10 +247,10 @@ ACCELERATION = Domain(
     "velocity of the frame * through",
     "the frame has a constant acceleration and carries the weight of all masses in it",
     port="acceleration",
-    answer_unit="kg m",
+    output_unit="kg m",
     compliance="kg s2",
-    word="a",
-    response="force",
+    output_symbol="a",
+    output_wave="force",
     reference=BASE,
 )
 THERMAL = Domain(
@@ -256,16 +259,17 @@ THERMAL = Domain(
     Quantity("heat_flow", "heat", "W", "W"),
     "through",
     "no heat capacity takes up heat; a path of thermal resistances leads to a known temperature",
-    driven="through",
+    input_side="through",
     port="thermal",
-    answer_unit="K",
+    output_unit="K",
     compliance="K/W",
-    word="temperature",
-    response="temperature",
+    output_symbol="temperature",
+    output_wave="temperature",
     reference=AMBIENT,
-    path="a thermal_resistor or a temperature source between it and gnd, the ambient temperature",
+    path_to_reference="a thermal_resistor or a temperature source between it and gnd, "
+    "the ambient temperature",
     path_part="thermal_resistor",
-    adrift="heat cannot flow from {part} to the ambient temperature",
+    floating_error="heat cannot flow from {part} to the ambient temperature",
 )
 ACOUSTIC = Domain(
     "acoustic",
@@ -274,15 +278,15 @@ ACOUSTIC = Domain(
     "across * through",
     "pressures are constant: no cavity takes up volume and no acoustic mass has a pressure drop",
     port="acoustic",
-    answer_unit="m3",
+    output_unit="m3",
     compliance="m3/Pa",
-    word="pressure",
-    response="flow",
+    output_symbol="pressure",
+    output_wave="flow",
     reference=AMBIENT,
-    path="an acoustic_resistor, an acoustic_mass, a vent, a radiation or a pressure source "
-    "between it and gnd",
+    path_to_reference="an acoustic_resistor, an acoustic_mass, a vent, a radiation or a pressure "
+    "source between it and gnd",
     path_part="acoustic_resistor",
-    adrift="no flow path connects {part} to the ambient pressure",
+    floating_error="no flow path connects {part} to the ambient pressure",
 )
 SIGNALS = Domain(
     "signal",
@@ -301,7 +305,7 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 
 
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
-    """Return the domain and the side of each quantity; a force belongs to translation."""
+    """Return domain and side of each quantity; the domain of a force is translation."""
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
         for quantity, side in domain.quantities:
@@ -375,7 +379,7 @@ def describe_units(units: Collection[str]) -> str:
     for domain in CONSERVATIVE:
         across = [domain.across, *([domain.rate] if domain.rate else [])]
         through = domain.through_variable
-        # two domains have the force as through quantity
+        # the force is the through quantity of two domains
         letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"
         of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:

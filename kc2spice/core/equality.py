@@ -1,8 +1,8 @@
-"""Equality of records that contain arrays.
+"""Equality of dataclasses that contain arrays.
 
 The ``==`` that ``dataclass`` generates compares fields with ``==``, whose result for two arrays is
-an array without a truth value. Records of values derive from :class:`EqualByContent`; classes with
-behaviour are compared by identity, ``@dataclass(eq=False)``.
+an array without a truth value. Dataclasses that represent values derive from
+:class:`EqualByContent`. All other dataclasses are compared by identity, ``@dataclass(eq=False)``.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any
 
 
 class EqualByContent:
-    """Base of ``@dataclass(eq=False)`` records that are equal if all fields are equal.
+    """Base of dataclasses whose instances are equal if all fields are equal.
 
-    Arrays are equal if their shapes and all their elements are equal; two NaN are equal. Such
-    records have no hash.
+    The dataclass needs the option ``eq=False``. Arrays are equal if their shapes and all their
+    elements are equal; two NaN are equal. The instances have no hash.
     """
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other record has the same class and equal fields."""
+        """Return whether the other object has the same class and equal fields."""
         if type(other) is not type(self):
             return NotImplemented
         names = [item.name for item in fields(self) if item.compare]  # type: ignore[arg-type]
@@ -39,7 +39,7 @@ def have_same_content(a: Any, b: Any) -> bool:
     Returns
     -------
     bool
-        Whether both are equal.
+        Whether ``a`` and ``b`` are equal.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Exceptions with location, faulty value, expected values and next step."""
+"""Exceptions with the place of the mistake, the faulty value, accepted values and a next step."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-LONGEST_WORD = 200  # characters of a word that is compared with others
-MAX_CANDIDATES = 5  # candidates that an error lists
-# least number of letters and digits of a word that is searched inside other names
-SHORTEST_FRAGMENT = 4
+MAX_COMPARED_LENGTH = 200  # characters; longer words are not compared with other words
+MAX_CANDIDATES = 5  # largest number of candidates that an error lists
+# smallest number of letters and digits of a word that is searched inside other names
+MIN_FRAGMENT_LENGTH = 4
 
 
 class Kc2spiceError(Exception):
@@ -78,7 +78,7 @@ class NamedValues(dict[str, Any]):
 
 
 class MissingToolError(Kc2spiceError):
-    """A simulator or library is not on this machine: exit code 3."""
+    """A simulator or library is not installed on this machine: exit code 3."""
 
     exit_code = 3
 
@@ -90,14 +90,14 @@ class GateMissedError(Kc2spiceError):
 
 
 class SimulationError(Kc2spiceError):
-    """A solver or simulator failed, or a physics check after it did: exit code 5."""
+    """A solver or simulator failed, or a run violated a physics check: exit code 5."""
 
     exit_code = 5
 
 
 @contextmanager
 def name_part_in_errors(where: str) -> Iterator[None]:
-    """Add the name of a part to errors of the block."""
+    """Add the name of a part to the errors that the ``with`` block raises."""
     try:
         yield
     except UsageError as error:
@@ -124,10 +124,10 @@ def unknown(
     command: str | None = None,
     advice: str | None = None,
 ) -> UsageError:
-    """Make the error of a ``name`` that is not ``known``; the error lists similar names.
+    """Make the error for a ``name`` that is not among the ``known`` names.
 
-    ``command`` is the command line or page that lists all known names. ``advice`` is the next
-    action if no known name is similar.
+    The error lists similar names. ``command`` is the command line or page that lists all known
+    names. ``advice`` is the next action if no known name is similar.
     """
     choices = list(known)
     expected = (
@@ -145,7 +145,7 @@ def unknown(
 def list_candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
     """List at most five choices, the most similar to ``word`` first.
 
-    ``command`` is the command line that lists all.
+    ``command`` is the command line that lists all choices.
 
     >>> list_candidates("v", ["a", "b"])
     'a, b'
@@ -157,11 +157,11 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
         return ", ".join(names)
     import difflib  # imported here, because most errors do not need it
 
-    def edit_distance(name: str) -> float:
-        """Return the dissimilarity of a name and the word."""
-        return -difflib.SequenceMatcher(None, str(word)[:LONGEST_WORD], name).ratio()
+    def dissimilarity(name: str) -> float:
+        """Return a measure of the difference between a name and the word."""
+        return -difflib.SequenceMatcher(None, str(word)[:MAX_COMPARED_LENGTH], name).ratio()
 
-    nearest = sorted(names, key=edit_distance)[:MAX_CANDIDATES]
+    nearest = sorted(names, key=dissimilarity)[:MAX_CANDIDATES]
     where = "" if command is None else f": {command}"
     return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
 
@@ -169,11 +169,11 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     """Return ``did you mean 'x'?`` for a name similar to ``word``.
 
-    Only the last parts of dotted keys are compared, in lower case.
+    Only the last parts of dotted keys are compared. Letter case is ignored.
     """
     import difflib  # imported here, because most errors do not need it
 
-    if len(word) > LONGEST_WORD:
+    if len(word) > MAX_COMPARED_LENGTH:
         return None  # the time of a comparison is proportional to the square of the length
     leaves: dict[str, str] = {}
     for choice in choices:
@@ -181,12 +181,12 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     lower = {leaf.lower(): leaf for leaf in leaves}
     last = word.rpartition(".")[2].lower()
     near = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
-    if not near:  # manufacturer's spelling of part numbers, such as 7BB-20-6 for buzzer_7bb_20_6
+    if not near:  # spelling of a part number, as 7BB-20-6 for buzzer_7bb_20_6
         plain = _normalise_word(word)
         near = [
             leaf
             for leaf in leaves
-            if len(plain) >= SHORTEST_FRAGMENT and plain in _normalise_word(leaf)
+            if len(plain) >= MIN_FRAGMENT_LENGTH and plain in _normalise_word(leaf)
         ][:1]
     return f"did you mean {leaves[near[0]]!r}?" if near else None
 

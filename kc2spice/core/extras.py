@@ -1,7 +1,7 @@
-"""Optional libraries: the extra that installs each library, and the error of a missing library.
+"""Optional libraries: import, extras that install the libraries, errors of missing ones.
 
-All imports of these libraries go through :func:`import_optional`. ``pyproject.toml`` states their
-versions.
+All imports of optional libraries go through :func:`import_optional`. ``pyproject.toml`` states the
+versions of these libraries.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from kc2spice.core.errors import MissingToolError
 
 
 class OptionalLibrary(NamedTuple):
-    """Optional library: its name in the Python Package Index and its extra of kc2spice.
+    """Optional library: its name in the Python Package Index and its kc2spice extra.
 
-    ``extra`` is None for a library without an extra, which is installed by its name.
+    ``extra`` is None for a library that no extra installs.
     """
 
     package: str
@@ -32,8 +32,8 @@ class OptionalLibrary(NamedTuple):
         return f"pip install {name}"
 
 
-#: Libraries by the top package of their modules.
-LIBRARIES = {
+#: Optional libraries, keyed by the name of their top-level package.
+OPTIONAL_LIBRARIES = {
     "ansys": OptionalLibrary("ansys-mapdl-reader", "ansys"),
     "distributed": OptionalLibrary("dask.distributed", "dask"),
     "h5py": OptionalLibrary("h5py", "meshes"),
@@ -51,16 +51,16 @@ LIBRARIES = {
 
 
 def import_optional(module: str, where: str) -> Any:
-    """Import a module of one of the :data:`LIBRARIES`.
+    """Import a module of one of the :data:`OPTIONAL_LIBRARIES`.
 
-    The print options of numpy stay as they are. The library pyyeti would change them.
+    The function restores the print options of numpy, which the library pyyeti changes.
 
     Parameters
     ----------
     module : str
-        Dotted name.
+        Dotted name of the module.
     where : str
-        File, option or method that needs the module.
+        File, option or method that needs the module, for the error.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def import_optional(module: str, where: str) -> Any:
     import numpy as np  # imported here, so that commands without arrays start faster
 
     top = module.partition(".")[0]
-    library = LIBRARIES[top]
+    library = OPTIONAL_LIBRARIES[top]
     try:
         with np.printoptions():
             return import_module(module)

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 class Curve(EqualByContent):
     """Curve of ``x`` and ``y`` (n,) in the panel's units.
 
-    A value that is not finite is a gap.
+    A value that is not finite causes a gap in the curve.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
     up to the next point), ``bar`` (bars without gaps), ``o`` (points), ``o-`` (points and a line).
-    ``names`` (n,) of the points are shown where the pointer is.
+    ``names`` (n,) are names of the points; the page shows the name of the point at the pointer.
     """
 
     label: str
@@ -33,10 +33,10 @@ class Curve(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class Map(EqualByContent):
-    """Colours ``z`` (rows, columns) at centres ``x`` (columns,) and ``y`` (rows,).
+    """Colour map of values ``z`` (rows, columns) over a grid of cells.
 
-    The centres ascend. A value that is not finite is grey. ``label`` is the label of the colour
-    bar.
+    The ascending coordinates ``x`` (columns,) and ``y`` (rows,) are the centres of the cells. A
+    value that is not finite is grey. ``label`` is the label of the colour bar.
     """
 
     x: np.ndarray
@@ -47,13 +47,13 @@ class Map(EqualByContent):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with curves, lines, ranges and a map below them.
+    """One pair of axes with curves, lines, shaded ranges, and a colour map behind the curves.
 
     ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded ranges ``(low, high,
-    label)``, and ``marks`` vertical lines. ``span`` is the range of x. ``equal`` gives both axes
-    one scale.
+    label)``, and ``marks`` vertical lines ``(value, label)``. ``span`` is the range of the x axis.
+    With ``equal``, both axes have the same scale.
 
-    ``x`` and ``y`` are labels of the form ``quantity in unit``.
+    ``x`` and ``y`` are labels of the axes, of the form ``quantity in unit``.
     """
 
     x: str
@@ -71,10 +71,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels above each other with one x axis, or in a grid of ``columns``.
+    """Figure of panels above each other with one x axis, or in a grid.
 
-    Panels in a grid have their own axes. ``name`` is the name of the file without suffix. ``main``
-    marks the most important curve of a scene.
+    ``columns`` is the number of columns of the grid, in which each panel has a separate x axis.
+    ``name`` is the name of the file without suffix. ``main`` marks the most important figure of a
+    scene.
     """
 
     name: str
@@ -87,9 +88,9 @@ class Figure:
 
 @dataclass(frozen=True)
 class Shape:
-    """Upright rectangle or circle (``round``) of a side view, in metres.
+    """Rectangle with vertical sides or, if ``round``, circle of a side view, in metres.
 
-    ``layers`` equal slices are drawn; ``label`` stands beside it.
+    The rectangle is drawn as ``layers`` equal slices. The text ``label`` is drawn beside the shape.
     """
 
     x: float
@@ -103,8 +104,9 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask (n,) of the points from ``first`` to ``last`` and one more on each side."""
-    import numpy as np  # imported here, because modules that draw load this module first
+    """Return a mask (n,) of the times from ``first`` to ``last`` and of one neighbour on each
+    side."""
+    import numpy as np  # imported here, because modules without figures import this module too
 
     low, high = np.searchsorted(t, (first, last))
     inside = np.zeros(t.size, dtype=bool)
@@ -113,9 +115,9 @@ def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
 
 
 def scale_time_axis(t: np.ndarray) -> tuple[str, float]:
-    """Return the label of an axis with times [s], and the factor to its unit.
+    """Return the label of a time axis, and the factor from seconds to the unit of the axis.
 
-    The unit is µs, and ms from 1 ms on.
+    The unit is ms if the longest time is at least 1 ms, otherwise µs.
     """
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
 
@@ -126,9 +128,10 @@ def format_axis_label(name: str, unit: str) -> str:
 
 
 def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Return the label of the axis of a run's scale, and the factor to its unit.
+    """Return label and unit factor of the axis of a run's scale.
 
-    The scale is ``time``, ``frequency`` or a swept key, with values in SI.
+    The scale is ``time``, ``frequency`` or a swept key. ``x`` are its values in SI units, which the
+    factor converts to the unit of the axis.
     """
     if name == "time":
         return scale_time_axis(x)
@@ -139,7 +142,7 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class FileWriter:
-    """Additional output file of a run; ``write(path)`` writes the file."""
+    """Writer of an additional output file of a run; ``write(path)`` writes the file."""
 
     name: str
     write: Callable[[Path], None]

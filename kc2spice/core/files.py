@@ -1,4 +1,4 @@
-"""Output directories whose files all appear together after success, or not at all."""
+"""Output directories in which either all files of a run appear, or none."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 
-# Main output files. They are deleted first and written last, so that a reader never finds an
-# incomplete set, even after a kill between two renames.
+# Main output files. These files are deleted first and written last. A reader therefore never finds
+# # an incomplete set of files, even if the process is killed between two renames.
 RESULT_FILE = "result.json"
 MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"
 _OTHER_DIRECTORY_HINT = "choose another --out"
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_MAX_RECORD_BYTES = 10_000_000  # bytes of a record that is read back
+_MAX_RECORD_BYTES = 10_000_000  # bytes of a ``result.json`` that is read again
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_ABANDONED_AGE = 60.0  # s after which a work directory without a running owner is deleted
+_ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 
 
 @contextmanager
 def stage_directory(out: Path | str) -> Iterator[Path]:
-    """Provide a directory whose files move to ``out`` when the block succeeds.
+    """Yield a work directory whose files move to ``out`` if the block succeeds.
 
     If the block raises an error, nothing is written, and earlier results in ``out`` stay
-    unchanged. Files are moved by rename under a lock on ``out``: two runs into one directory
-    finish one after the other, and no program reads an incomplete file.
+    unchanged. The files are renamed while ``out`` is locked: two runs with the same output
+    directory publish their files one after the other, and no program reads an incomplete file.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
             "this path contains a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT
         )
     typed = str(out)
-    # resolve a link to its target, on the file system of the target; the link remains
+    # A link is replaced by its target, so that the files are renamed within one file system.
     out = Path(os.path.realpath(out))
     # os.path returns False for a path in a directory without permission; pathlib raises an error.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
@@ -54,8 +54,8 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
         raise _make_write_error(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise _make_write_error(typed, nearest, "no permission to write")
-    # The work directory is created next to ``out``, or inside ``out`` if that is a mount point or
-    # the only writable directory.
+    # The work directory is created next to ``out``, or inside ``out`` if ``out`` is a mount point #
+    # or the only writable directory.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
     prefix = f".kc2spice.{out.name}."
@@ -81,7 +81,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
 
 
 def _make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
-    """Make the error for an output path, as typed by the user, that cannot be written."""
+    """Make the error for an output path that cannot be written; ``typed`` is the user's text."""
     return UsageError(
         "this path cannot be written",
         where=typed,
@@ -119,7 +119,7 @@ def _record_hashes(work: Path, files: list[Path]) -> None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return  # the directory contains no result of a run
+        return  # without a valid result.json, no file of an earlier run is known
     if not isinstance(record, dict):
         return
     record["sha256"] = {
@@ -135,9 +135,10 @@ def _hash_file(path: Path) -> str:
 
 
 def list_earlier_files(out: Path) -> set[str]:
-    """List unchanged files that an earlier run wrote into ``out``.
+    """List the files in ``out`` that are unchanged since an earlier run.
 
-    ``result.json`` of that run contains their hashes. Ignored are
+    The file ``result.json`` of the earlier run contains the hashes of its files. The result does
+    not contain
 
     * files with another hash,
     * names with a folder,
@@ -159,12 +160,12 @@ def list_earlier_files(out: Path) -> set[str]:
 
 
 def _rank_main_file(path: Path) -> int:
-    """Return the position of a main output file in :data:`MAIN_SUFFIXES`; otherwise -1."""
+    """Return the position of a file's suffix in :data:`MAIN_SUFFIXES`; -1 for other suffixes."""
     return next((rank for rank, end in enumerate(MAIN_SUFFIXES) if path.name.endswith(end)), -1)
 
 
 def _delete_abandoned_directories(directory: Path, prefix: str) -> None:
-    """Delete work directories of killed runs, which no process locks any more."""
+    """Delete the unlocked work directories of killed runs."""
     for other in directory.parent.iterdir():
         if other == directory or not (
             other.name.startswith(prefix) and other.name.endswith(_WORK_SUFFIX)
@@ -178,15 +179,15 @@ def _delete_abandoned_directories(directory: Path, prefix: str) -> None:
 
 @contextmanager
 def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
-    """Lock a file or directory exclusively; no lock file is created.
+    """Lock a file or directory exclusively, without an additional lock file.
 
     Raises
     ------
-    BlockingIOError : without ``wait``, if another process has the lock.
+    BlockingIOError : ``wait`` is false and another process has the lock.
     """
     try:
         import fcntl
-    except ImportError:  # not a POSIX system: each rename is still atomic
+    except ImportError:  # without locks (not POSIX), each single rename is atomic
         yield
         return
     handle = os.open(path, os.O_RDONLY)
@@ -194,5 +195,5 @@ def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         yield
     finally:
-        fcntl.flock(handle, fcntl.LOCK_UN)  # a fork may have inherited the handle
+        fcntl.flock(handle, fcntl.LOCK_UN)  # a forked process may have inherited the handle
         os.close(handle)

@@ -1,4 +1,4 @@
-"""Session of the mesh generator gmsh without output or threads; no other module imports gmsh."""
+"""Session of the mesh generator gmsh; no other module imports gmsh."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from types import ModuleType
 
 from kc2spice.core.errors import MissingToolError
 
-# Signals whose handlers gmsh replaces. A broken pipe would then end the process silently.
+# Signals whose handlers gmsh replaces. With the handler of gmsh, a broken pipe would end the #
+# process silently.
 REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 
 
@@ -18,12 +19,13 @@ REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 def gmsh_session() -> Iterator[ModuleType]:
     """Initialise gmsh with one empty model, yield the module, and finalise it.
 
-    gmsh keeps global state, so sessions do not nest. The session neither reads the option files of
-    the user nor replaces the signal handlers, so the same input always gives the same mesh.
+    gmsh has global variables, so sessions cannot be nested. The session prints nothing, runs in one
+    thread, and does not read option files of the user: the same input always gives the same mesh.
+    The signal handlers of Python remain.
 
     Raises
     ------
-    MissingToolError : the wheel or a system library that it loads is not installed.
+    MissingToolError : the package gmsh, or a system library that gmsh loads, is not installed.
     """
     try:
         import gmsh

@@ -24,14 +24,13 @@ INTERRUPT_MESSAGE = b"kc2spice: interrupted; nothing was written\n"
 def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
     """Convert signals to exceptions that stop simulators and remove files.
 
-    Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit. After ``grace`` [s] the
-    program ends immediately, with the same exit code 128 + signal. Handlers that the caller has
-    set remain.
+    Ctrl-C raises KeyboardInterrupt; SIGTERM and SIGHUP raise SystemExit. If the main thread does
+    not handle the signal within ``grace`` [s], the process ends immediately. The exit code is 128 +
+    number of the signal in all cases. Signal handlers that the caller has set remain.
 
     A KeyboardInterrupt that leaves the block also ends the program with this exit code. After the
-    block, signals are ignored and cannot change the exit code. Otherwise the interpreter would
-    restore its handlers at the end, and a late signal could kill a program that has written all
-    results.
+    block, the signals are ignored. With restored handlers, a late signal could kill a program that
+    has already written all results, and change its exit code.
     """
     try:
         signals = _handle_signals(grace)
@@ -47,15 +46,15 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
 
 
 def _handle_signals(grace: float) -> set[int]:
-    """Set the handlers, start the waiting thread, and return the signals."""
+    """Set the signal handlers, start the watching thread, and return the handled signals."""
     handled = threading.Semaphore(0)
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt once per signal."""
+    def raise_interrupt(number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt at the first signal."""
         handled.release()
         raise KeyboardInterrupt
 
-    def leave(number: int, frame: FrameType | None) -> None:
+    def exit_on_signal(number: int, frame: FrameType | None) -> None:
         """Ignore further signals of this kind and raise SystemExit."""
         handled.release()
         signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
@@ -63,11 +62,11 @@ def _handle_signals(grace: float) -> set[int]:
 
     signals = set[int]()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, interrupt)
+        signal.signal(signal.SIGINT, raise_interrupt)
         signals.add(int(signal.SIGINT))
     for number in (getattr(signal, name, None) for name in END_SIGNALS):
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, leave)
+            signal.signal(number, exit_on_signal)
             signals.add(int(number))
     if not signals:
         return signals
@@ -86,7 +85,8 @@ def _watch_signals(
     """End the process if the main thread has not handled a signal after ``grace`` [s]."""
     while arrived := os.read(inlet, 1):
         if arrived[0] in signals and not handled.acquire(timeout=grace):
-            processes = sys.modules.get("multiprocessing")  # importing it takes 7 ms
+            # not imported here, because the import takes 7 ms
+            processes = sys.modules.get("multiprocessing")
             for child in processes.active_children() if processes else ():
                 child.kill()
             with contextlib.suppress(OSError):

@@ -1,14 +1,14 @@
 """Constitutive equations (laws) of parts for the independent integrator.
 
-A law is plain data in SI with named, typed pins, without a scene or a netlist. A pin's kind is the
-name of a domain (:mod:`kc2spice.core.domains`). All pins of a net share the *across* quantity of
-this domain, such as a voltage [V]. The *through* quantities into the parts, such as currents [A],
-sum to zero on each net. The kind ``signal`` has no through quantity, and one pin of a net sets the
-signal.
+A law consists of data in SI units and of pins with a name and a kind. It does not depend on a scene
+or a netlist. The kind of a pin is the name of a domain (:mod:`kc2spice.core.domains`). All pins of
+a net share the *across* quantity of this domain, such as a voltage [V]. The *through* quantities
+into the parts, such as currents [A], sum to zero on each net. Pins of the kind ``signal`` have no
+through quantity, and one pin of each net sets the signal.
 
-The assembler stamps bodies and sources into matrices (:mod:`kc2spice.reference.system`). Every
-other law is a :class:`Device`: smooth expressions within a *mode*, and guards whose zeros end the
-mode. A linear device also becomes constant matrices.
+The module :mod:`kc2spice.reference.system` adds bodies, sources and linear devices to constant
+matrices. Every law except bodies and sources is a :class:`Device`: smooth expressions that hold
+within a *mode*, and guard functions. The zero of a guard function ends the mode.
 """
 
 from __future__ import annotations
@@ -29,17 +29,20 @@ from kc2spice.core.waveforms import Function
 
 
 def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Return the names of domains, which are kinds of pins."""
+    """Return the names of domains, which are the kinds of pins."""
     return tuple(map(attrgetter("name"), domains))
 
 
-MECHANICAL = _collect_names(filter(attrgetter("position"), CONSERVATIVE))
-POTENTIALS = _collect_names(filter(attrgetter("potential"), CONSERVATIVE))
-# Kinds whose port input is a flow and whose output is a potential: the flow is an unknown.
-FLOW_DRIVEN = _collect_names(d for d in CONSERVATIVE if d.potential and d.driven == "through")
+MECHANICAL = _collect_names(filter(attrgetter("has_position"), CONSERVATIVE))
+POTENTIALS = _collect_names(filter(attrgetter("has_potential"), CONSERVATIVE))
+# Kinds of ports whose input is a flow and whose output is a potential. The flow is an unknown of
+# the equations.
+FLOW_DRIVEN = _collect_names(
+    d for d in CONSERVATIVE if d.has_potential and d.input_side == "through"
+)
 # Kinds of ports whose input is a potential and whose output is the time integral of the flow, such
 # as a charge.
-CHARGE_OUTPUTS = _collect_names(filter(attrgetter("charged"), CONSERVATIVE))
+CHARGE_OUTPUTS = _collect_names(filter(attrgetter("has_charge_output"), CONSERVATIVE))
 GROUND = "gnd"
 
 
@@ -47,7 +50,7 @@ GROUND = "gnd"
 class LawPin:
     """Named pin of a law.
 
-    A ``grounded`` pin is connected to the reference if no other pin is joined to it.
+    A ``grounded`` pin is connected to the reference if it is not joined to another pin.
     """
 
     name: str
@@ -56,13 +59,13 @@ class LawPin:
 
 
 @dataclass(frozen=True)
-class Reading:
+class WaveCombination:
     """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
 
-    ``terms`` are the pairs ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``, and
-    a current becomes a charge. ``rate`` multiplies an ac result by ``j omega`` and by a
-    :func:`low_pass` with the corner frequency ``corner`` [rad/s]; other analyses do not have this
-    result.
+    ``terms`` are the pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by
+    ``j omega``, which converts a current to a charge. If ``rate`` is true, an ac result is
+    multiplied by ``j omega`` and by a :func:`low_pass` with the corner frequency ``corner``
+    [rad/s]; in other analyses the result does not exist.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -81,10 +84,10 @@ class Reading:
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
     def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
-        """Return the values of the result; constants are omitted for small signals.
+        """Return the values of the result, for small signals without the constant.
 
-        ``scale`` are the times [s] or frequencies [Hz] of the waves. The rate of a wave is None if
-        the waves are not small signals.
+        ``scale`` are the times [s] or frequencies [Hz] of the waves. The value is None if ``rate``
+        is true and the waves are not small signals.
         """
         value = self.combine(waves)
         if not np.iscomplexobj(value):
@@ -95,15 +98,15 @@ class Reading:
         return np.asarray(value / s) if self.charge else value
 
 
-def evaluate_readings(
-    readings: Mapping[str, Reading], waves: Mapping[str, np.ndarray], scale: np.ndarray
+def evaluate_combinations(
+    combinations: Mapping[str, WaveCombination], waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return the results whose waves are all in ``waves``.
 
     ``scale`` are the times [s] or frequencies [Hz] of the waves.
     """
     result = {}
-    for name, item in readings.items():
+    for name, item in combinations.items():
         if waves.keys() >= {*item.waves}:
             value = item.evaluate(waves, scale)
             if value is not None:
@@ -112,39 +115,40 @@ def evaluate_readings(
 
 
 def low_pass(s: np.ndarray, corner: float) -> np.ndarray:
-    """Return the response of a low pass of second order, ``1 / (1 + sqrt(2) s / w + (s / w)^2)``.
+    """Return the response of a second-order low-pass filter at complex frequencies ``s``.
 
-    The corner frequency w [rad/s] may be infinite.
+    The response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)`` with the corner frequency w [rad/s],
+    which may be infinite.
     """
     x = s / corner
     return np.asarray(1 / (1 + math.sqrt(2) * x + x**2))
 
 
-def scaled_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:
-    """Make a reading of ``factor`` times one wave, plus ``constant``."""
-    return Reading(((factor, wave),), constant)
+def scaled_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> WaveCombination:
+    """Make the combination of ``factor`` times one wave, plus ``constant``."""
+    return WaveCombination(((factor, wave),), constant)
 
 
-def wave_difference(plus: str, minus: str) -> Reading:
-    """Make a reading of one wave minus another."""
-    return Reading(((1.0, plus), (-1.0, minus)))
+def wave_difference(plus: str, minus: str) -> WaveCombination:
+    """Make the combination of the wave ``plus`` minus the wave ``minus``."""
+    return WaveCombination(((1.0, plus), (-1.0, minus)))
 
 
 @dataclass(frozen=True)
 class Equations:
     """Laws of a part, and the pins and waves that represent the part.
 
-    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A missing pin has no
-    counterpart, because another pin represents it or because nothing acts on it. Two pins of the
-    part may share a pin of a law: a netlist has a velocity node and a displacement node for one
-    coordinate of the law. ``nets`` are pins of the laws that are joined inside of the part.
-    ``results`` maps the part's results to waves. ``sweeps`` maps keys that a dc analysis sweeps to
-    the name of a source and its value per SI unit of the key.
+    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is absent
+    if another pin represents it, or if nothing acts on it. Two pins of the part may correspond to
+    one pin of a law: a netlist has a velocity node and a displacement node for one coordinate of
+    the law. ``nets`` are pins of the laws that are joined inside of the part. ``results`` maps the
+    part's results to combinations of waves. ``sweeps`` maps each key that a dc analysis may sweep
+    to the name of a source and the value of the source per SI unit of the key.
     """
 
     laws: tuple[Law, ...] = ()
     pins: tuple[tuple[str, str], ...] = ()
-    results: dict[str, Reading] = field(default_factory=dict)
+    results: dict[str, WaveCombination] = field(default_factory=dict)
     sweeps: dict[str, tuple[str, float]] = field(default_factory=dict)
     nets: tuple[tuple[str, ...], ...] = ()
 
@@ -158,11 +162,15 @@ class MissingEquations:
 
 @dataclass(frozen=True)
 class LawPort:
-    """Port of a :class:`SecondOrderBody`: one column of B, one row of C.
+    """Port of a :class:`SecondOrderBody`, with one column of B and one row of C.
 
-    Electrical: voltage in, charge out; ``ret`` names the pin of its return. Acoustic: pressure in,
-    volume out. Mechanical: force in, displacement out. ``acceleration``: acceleration of the base
-    in [m/s^2] (a signal pin), reaction force out [N], recorded in the wave ``NAME.PORT.reaction``.
+    The inputs and outputs of the kinds of ports are
+
+    * electrical: voltage and charge; ``ret`` names the return pin,
+    * acoustic: pressure and volume,
+    * mechanical: force and displacement,
+    * ``acceleration``: acceleration [m/s^2] of the base, on a signal pin, and reaction force [N],
+      which the wave ``NAME.PORT.reaction`` contains.
     """
 
     name: str
@@ -172,14 +180,14 @@ class LawPort:
 
 @dataclass(frozen=True, eq=False)
 class SecondOrderBody:
-    """Body with the equations ``M x'' + E x' + K x = B in``, ``out = C x + D in``.
+    """Body with the equations ``M x'' + E x' + K x = B u`` and ``y = C x + D u``.
 
-    The ``model`` has a dense ``pencil`` of second order, or of first order without M. The unknowns
-    of the body are unknowns of the system of equations.
+    The ``model`` has a dense ``pencil``: matrices of differential equations of second order, or
+    without M of first order. The unknowns x are unknowns of the complete system of equations.
 
-    A port with ``D`` must be electrical or acoustic, or its compliance in ``D`` must be positive.
-    Energy and loss of a heat model are defined like those of a circuit with the same numbers: ``x'
-    E x / 2``, ``x' K x``.
+    A port with an entry in ``D`` must be electrical or acoustic, or this entry must be a positive
+    compliance. A heat model has the energy ``x' E x / 2`` and the loss ``x' K x``, like an RC
+    circuit with the same numbers.
     """
 
     name: str
@@ -188,12 +196,12 @@ class SecondOrderBody:
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the ports and their returns."""
+        """Pins of the ports, with their return pins."""
         return make_port_pins(self.ports)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Forces at mechanical ports with additional compliance, and flows of heat, as states."""
+        """Names of ports whose flow is a state: heat flows, forces at ports with a row of D."""
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
@@ -208,9 +216,9 @@ class SecondOrderBody:
 
 
 def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """Make a pin for each port, and for the returns.
+    """Make a pin for each port, and for each return pin.
 
-    Accelerations, inputs and outputs are signals.
+    Pins of ports of the kinds acceleration, input and output are signals.
     """
     result: list[LawPin] = []
     for port in ports:
@@ -227,7 +235,7 @@ class IdealSource:
 
     ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
     ``current`` out of ``out``, or ``signal``. An ``acceleration`` is on a signal pin. ``ac`` is the
-    complex amplitude of an ac analysis.
+    complex amplitude of the source in an ac analysis.
     """
 
     name: str
@@ -241,12 +249,12 @@ class IdealSource:
         return SIGNALS if self.kind == SIGNALS.name else QUANTITIES[self.kind][0]
 
     @property
-    def signal(self) -> bool:
+    def sets_signal(self) -> bool:
         """Whether the source sets a signal pin."""
         return self.domain.kind_of_law == SIGNALS.name
 
     @property
-    def flows(self) -> bool:
+    def prescribes_flow(self) -> bool:
         """Whether the source prescribes a through quantity, such as a current."""
         return self.kind in QUANTITIES and QUANTITIES[self.kind][1] == "through"
 
@@ -254,13 +262,13 @@ class IdealSource:
     def pins(self) -> tuple[LawPin, ...]:
         """Pins of the source."""
         kind = self.domain.kind_of_law
-        if self.signal:
+        if self.sets_signal:
             return (LawPin("out", kind),)
         return (LawPin("out", kind), LawPin("ret", kind, grounded=True))
 
 
 @dataclass(frozen=True)
-class Tap:
+class AcrossInput:
     """Input of a device: an across quantity or its rate.
 
     The across quantities of ``minus`` and ``less`` are subtracted from the across quantity of
@@ -275,9 +283,10 @@ class Tap:
 
 @dataclass(frozen=True)
 class Flow:
-    """Output of a device: a through quantity into the device at ``pin``.
+    """Output of a device: a through quantity (flow) that enters the device at ``pin``.
 
-    The flow leaves the device at ``minus``; the same quantity leaves it at ``less``.
+    The flow leaves the device at ``minus``. A flow of equal size also leaves the device at
+    ``less``.
     """
 
     pin: str
@@ -286,17 +295,17 @@ class Flow:
 
 
 class Device(ABC):
-    """Law of inputs, rates and states; subclasses are frozen dataclasses.
+    """Law as a function of inputs, rates and states; subclasses are frozen dataclasses.
 
-    Each has a ``name``. The inputs ``e`` (m,) are the taps and then the states. In a mode, which
-    may be any value::
+    Each device has a ``name``. The inputs ``e`` (m,) are the across inputs, then the states. A mode
+    may be any value; within a mode::
 
         out = [through of every flow, rate of every state's store, value of every signal it drives]
         d/dt store(e) = rate,   store(e) = the states themselves by default
 
-    Flows that are ``charged`` contain the rates of further entries of ``store`` as well. A mode
-    lasts while every guard is positive. ``start`` [m], [m/s] are the initial values of the first
-    tap and of its rate. Without ``start``, the tap and its rate begin at equilibrium.
+    Flows with an index in ``charged`` also contain the rates of further entries of ``store``. A
+    mode ends when a guard is no longer positive. ``start`` [m], [m/s] are the initial values of the
+    first across input and of its rate. Without ``start``, both begin at equilibrium.
     """
 
     name: str
@@ -309,7 +318,7 @@ class Device(ABC):
 
     @property
     @abstractmethod
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Across quantities and rates that are inputs of the law."""
 
     @property
@@ -328,13 +337,13 @@ class Device(ABC):
         return ()
 
     @property
-    def prescribes(self) -> tuple[str, ...]:
+    def prescribed_signals(self) -> tuple[str, ...]:
         """Signal pins that the device sets."""
         return ()
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Error scales of the states: currents in A, forces in N."""
+        """Magnitudes [A, N] of the states to which their errors are relative."""
         return (1e-3,) * len(self.states)
 
     @property
@@ -344,9 +353,9 @@ class Device(ABC):
 
     @property
     def linear(self) -> bool:
-        """Whether there is one mode, with affine ``evaluate`` and ``store``.
+        """Whether the device has one mode, with affine ``evaluate`` and ``store``.
 
-        Energy and loss are then quadratic.
+        Energy and loss of a linear device are quadratic.
         """
         return False
 
@@ -360,7 +369,10 @@ class Device(ABC):
         """Return ``out`` (k,) and its derivative (k, m) with respect to ``e``."""
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities (len(states) + len(charged),) and their derivatives."""
+        """Return the stored quantities, and their derivatives with respect to ``e``.
+
+        Their number is ``len(states) + len(charged)``.
+        """
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
 
@@ -375,18 +387,19 @@ class Device(ABC):
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute derivatives for small signals ``exp(s t)`` around ``e``.
+        """Compute derivatives for small signals ``exp(s t)`` at the operating point.
 
-        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m). The
-        derivatives are complex if they depend on the frequency.
+        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m) with
+        respect to the inputs, at the inputs ``e`` of the operating point. The derivatives are
+        complex if they depend on the frequency.
         """
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute noise sources of unit density in ``out`` (k, sources) and in the store.
+        """Compute the weights of the noise sources in ``out`` (k, sources) and in the store.
 
-        The noise is ``4 k T`` times the square of the sources. The result is None for a device
-        without noise.
+        The noise density is ``4 k T`` times the squared weight, with ``k`` Boltzmann's constant.
+        The result is None for a device without noise.
         """
         return None
 
@@ -395,37 +408,38 @@ class Device(ABC):
         return None
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute values (g,) that stay positive within the mode."""
+        """Compute the guards (g,), which are positive within the mode."""
         return np.empty(0)
 
-    def switch(self, mode: Any, guard: int) -> Any:
-        """Return the mode after ``guard`` fell to zero."""
+    def next_mode(self, mode: Any, guard: int) -> Any:
+        """Return the mode that follows ``mode`` when the guard of this number falls to zero."""
         return mode
 
-    def limit(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
+    def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Return the inputs at which Newton's method linearises the law next.
 
-        ``e`` are the inputs of the new iterate, ``last`` those of the last linearisation. A law
-        with an exponential function limits the change, so that it does not overflow.
+        ``e`` are the inputs of the new iterate, ``last`` the inputs of the last linearisation. A
+        law with an exponential function limits the difference of these inputs, so that the function
+        does not overflow.
         """
         return e
 
-    def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
-        """Raise SimulationError if the inputs are outside of the law's range."""
+    def require_in_range(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
+        """Raise SimulationError if the inputs at the time ``t`` are outside of the law's range."""
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
         """Compute the stored energy [J]."""
         return 0.0
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Compute the power [W] that becomes heat; power from outside is negative."""
+        """Compute the power [W] that becomes heat; supplied power is negative."""
         return 0.0
 
     @property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Matrices (m, m) of the quadratic forms ``energy`` and ``loss`` of a linear device.
+        """Matrices (m, m) of the quadratic forms of energy and loss of a linear device.
 
-        With these matrices, a large device needs no methods ``energy`` and ``loss``.
+        A large device states these matrices in place of the methods ``energy`` and ``loss``.
         """
         return None
 
@@ -441,7 +455,7 @@ class Relation:
     """Relation ``y = H a + free`` between loads (inputs,) and outputs (outputs,).
 
     A relation describes a linear body in static equilibrium, at one frequency, or within one stage
-    of an implicit time step; ``free`` is then the effect of the past.
+    of an implicit time step. In a time step, ``free`` is the effect of the body's earlier motion.
     """
 
     H: np.ndarray
@@ -450,21 +464,23 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class PortBody(Device):
-    """Linear model of any size, represented by a relation at its ports.
+    """Linear model of any size, represented by a relation between its ports.
 
     The mode of the body is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations
     and signals, in the order of the ports with a column of B. Outputs are displacements [m],
-    charges [C] and signals, in the order of the rows of C. Forces and currents are unknowns of the
-    device, with the equations ``u = y(a)`` and ``dq(a)/dt = i``.
+    charges [C] and signals, in the order of the rows of C. Forces and currents i are unknowns of
+    the device. Their equations state that the displacements u at the pins equal the outputs
+    ``y(a)`` of the loads a, and that ``dq(a)/dt = i`` with the charges q.
 
-    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the static relation and the
-    relation at a frequency. An integrator makes the relations of time steps.
+    The method ``transfer(s)`` of the model's ``pencil`` gives the static relation and the relation
+    at a frequency. The integrator computes the relations of time steps. ``responses`` contains the
+    matrices ``H(s)`` that were already computed, keyed by ``s``.
     """
 
     name: str
     model: Any
     ports: tuple[LawPort, ...]
-    known: dict[complex, np.ndarray] = field(default_factory=dict)
+    responses: dict[complex, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def _load_ports(self) -> tuple[LawPort, ...]:
@@ -482,9 +498,9 @@ class PortBody(Device):
         return make_port_pins(self.ports)
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Across quantities that are inputs of the device."""
-        return tuple(Tap(port.name, port.ret) for port in self._load_ports)
+        return tuple(AcrossInput(port.name, port.ret) for port in self._load_ports)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -497,21 +513,21 @@ class PortBody(Device):
         return tuple(f"{port.name}.through" for port in self._flow_ports)
 
     @property
-    def prescribes(self) -> tuple[str, ...]:
+    def prescribed_signals(self) -> tuple[str, ...]:
         """Signal pins that the body sets."""
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Matrices ``load``, ``stored``, ``direct`` and ``answered``, in this order.
+        """Matrices ``load``, ``stored``, ``direct`` and ``output``, in this order.
 
         With the inputs e and the states y, the loads are ``load @ e``, the charges ``stored @ y``,
-        and the outputs ``direct @ e + answered @ y``.
+        and the outputs ``direct @ e + output @ y``.
         """
-        n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribes)
+        n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribed_signals)
         rows = [port for port in self.ports if port.kind != "input"]
         load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
-        direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
+        direct, output = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
         direct[:k, n:] = np.eye(k)
         for row, port in enumerate(self._load_ports):
             force = port.kind in (*MECHANICAL, *FLOW_DRIVEN)
@@ -521,10 +537,10 @@ class PortBody(Device):
                 stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
             else:
                 direct[k + at, self._load_ports.index(port)] = 1 / MICRO
-                answered[k + at, rows.index(port)] = -1 / MICRO
-        for at, name in enumerate(self.prescribes, 2 * k):
-            answered[at, list(map(attrgetter("name"), rows)).index(name)] = 1.0
-        return load, stored, direct, answered
+                output[k + at, rows.index(port)] = -1 / MICRO
+        for at, name in enumerate(self.prescribed_signals, 2 * k):
+            output[at, list(map(attrgetter("name"), rows)).index(name)] = 1.0
+        return load, stored, direct, output
 
     def loads(self, e: np.ndarray) -> np.ndarray:
         """Compute the loads ``a`` (inputs,) from the inputs ``e`` of the device."""
@@ -532,25 +548,26 @@ class PortBody(Device):
 
     @cached_property
     def static_relation(self) -> Relation:
-        """Static relation of loads and displacements.
+        """Relation of loads and displacements in static equilibrium.
 
-        A scene with a constant load on an unsupported body is rejected. For other unsupported
-        bodies, any finite relation is valid. The relation used is the response to a growing load.
+        A scene with a constant load on an unsupported body is rejected. For an unsupported body
+        without constant loads, any finite relation is valid: the result is the response to a load
+        that grows exponentially with the rate :data:`GROWTH_RATE`.
         """
         try:
             H = self.transfer(0.0)
         except SimulationError:
-            H = self.known[0.0] = self.transfer(GROWTH_RATE)
+            H = self.responses[0.0] = self.transfer(GROWTH_RATE)
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """Compute ``H(s)`` (outputs, inputs) once; copies of a body share the result."""
-        if s not in self.known:
-            self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
-        return self.known[s]
+        """Return ``H(s)`` (outputs, inputs), which is computed once for all copies of a body."""
+        if s not in self.responses:
+            self.responses[s] = self.model.pencil.transfer(np.array([s]))[0]
+        return self.responses[s]
 
     def mode(self, e: np.ndarray) -> Relation:
-        """Return the static relation."""
+        """Return the static relation as the first mode."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -560,8 +577,8 @@ class PortBody(Device):
 
     def _compute_slope(self, H: np.ndarray) -> np.ndarray:
         """Return the derivative of ``out`` for a response matrix ``H``."""
-        load, _, direct, answered = self._port_matrices
-        return direct + answered @ H @ load
+        load, _, direct, output = self._port_matrices
+        return direct + output @ H @ load
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the charges and their derivatives."""
@@ -572,33 +589,31 @@ class PortBody(Device):
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of ``out`` and of the charges at ``s``."""
+        """Return the derivatives of ``out`` and of the charges at the complex frequency ``s``."""
         load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.static_relation.H
         return self._compute_slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute noise of the density ``4 k T (s H + (s H)^H) / (2 |s|^2)``.
+        """Compute the noise of the outputs, which has the density ``4 k T (Y + Y^H) / (2 |s|^2)``.
 
-        The noise acts on the outputs.
-
-        Loads times rates of outputs are power.
+        Here ``Y`` is ``s H(s)``: loads times the rates of outputs are power.
         """
         if any(port.kind in ("input", "output", *FLOW_DRIVEN) for port in self.ports):
             return None
-        _, stored, _, answered = self._port_matrices
+        _, stored, _, output = self._port_matrices
         Y = s * self.transfer(s)
         size = np.sqrt(np.abs(np.diagonal(Y)))
         powers, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))
         y = size[:, None] * shapes * np.sqrt(np.maximum(powers, 0.0)) / s
-        return answered @ y, stored @ y
+        return output @ y, stored @ y
 
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
-    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` with signals as outputs.
+    """Linear system ``E x' = A x + B u``, ``y = C x + D u``, whose outputs y are signals.
 
-    The inputs are across quantities.
+    The inputs u are across quantities.
     """
 
     name: str
@@ -620,9 +635,9 @@ class SignalBlock(Device):
         return tuple(LawPin(*pin) for pin in kinds.items())
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Inputs of the block."""
-        return tuple(map(Tap, self.inputs))
+        return tuple(map(AcrossInput, self.inputs))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -635,7 +650,7 @@ class SignalBlock(Device):
         return (1.0,) * len(self.A)
 
     @property
-    def prescribes(self) -> tuple[str, ...]:
+    def prescribed_signals(self) -> tuple[str, ...]:
         """Signal pins that the block sets."""
         return self.outputs
 
@@ -651,7 +666,7 @@ class SignalBlock(Device):
 
 
 def sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
-    """Make a block with the signal ``out = gain across(a)``."""
+    """Make a block whose signal ``out`` is ``gain`` times the across quantity of the pin ``a``."""
     none, column = np.zeros((0, 0)), np.zeros((0, 1))
     D = np.array([[gain]])
     return SignalBlock(name, none, none, column, column.T, D, ("a",), ("out",), kind)

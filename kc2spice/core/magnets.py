@@ -1,7 +1,7 @@
-"""Coenergy of two coils and a moving magnet as a function of height and currents.
+"""Magnetic coenergy of two coils and a moving magnet, as a function of height and currents.
 
-The splines use numpy only, because loading the splines of scipy would take most of the loading time
-of a run with cached models.
+The splines use numpy only. In a run with cached models, the import of scipy's splines would take
+most of the import time.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 
 
 @dataclass(frozen=True, eq=False)
-class Piecewise(EqualByContent):
+class PiecewisePolynomial(EqualByContent):
     """Piecewise polynomial ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cell j.
 
-    ``knots`` (n,) ascend; ``c`` (degree + 1, n - 1, m) are m functions. The outer polynomials
-    continue beyond the first and last knot.
+    ``knots`` (n,) ascend. ``c`` (degree + 1, n - 1, m) are the coefficients of m functions. The
+    first and the last polynomial extend beyond the first and the last knot.
     """
 
     knots: np.ndarray
@@ -39,35 +39,37 @@ class Piecewise(EqualByContent):
             value = value * step + power[cell]
         return value
 
-    def integral(self) -> Piecewise:
+    def integral(self) -> PiecewisePolynomial:
         """Return the antiderivative, which is continuous and 0 at the first knot."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
         start = np.cumsum(cells, axis=0) - cells
-        return Piecewise(self.knots, np.concatenate([start[None], rising]))
+        return PiecewisePolynomial(self.knots, np.concatenate([start[None], rising]))
 
-    def derivative(self) -> Piecewise:
-        """Return the derivative. At a knot with a jump, it is the value of the upper cell."""
-        return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
+    def derivative(self) -> PiecewisePolynomial:
+        """Return the derivative; at a knot where it jumps, the value of the upper cell."""
+        return PiecewisePolynomial(
+            self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None]
+        )
 
-    def add_constant(self, by: np.ndarray) -> Piecewise:
-        """Return the same functions plus the constants ``by`` (m,)."""
-        return Piecewise(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
+    def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
+        """Return the functions plus the constants ``by`` (m,)."""
+        return PiecewisePolynomial(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
-def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> Piecewise:
-    """Interpolate ``values`` (n, m) at ascending ``x`` (n,) by not-a-knot cubics.
+def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolynomial:
+    """Interpolate ``values`` (n, m) at ascending ``x`` (n,) by not-a-knot cubic splines.
 
-    With two or three points the result is a line or a parabola.
+    The result is a straight line for two points, and a parabola for three points.
 
-    Unknown are the second derivatives s at the nodes; equal slopes from both sides require, with
-    ``h = diff(x)`` and ``d = diff(values) / h`` ::
+    The unknowns are the second derivatives s at the nodes. The first derivatives on both sides of a
+    node are equal if, with ``h = diff(x)`` and ``d = diff(values) / h``, ::
 
         h[j-1] s[j-1] + 2 (h[j-1] + h[j]) s[j] + h[j] s[j+1] = 6 (d[j] - d[j-1])
 
-    and the first two and the last two cells share one cubic: ``diff(s) / h`` is equal there
-    (de Boor, A Practical Guide to Splines, ch. IV).
+    The first two cells share one cubic, and so do the last two cells: ``diff(s) / h`` is equal in
+    both cells (de Boor, A Practical Guide to Splines, ch. IV).
     """
     n, h = x.size, np.diff(x)
     d = np.diff(values, axis=0) / h[:, None]
@@ -85,18 +87,21 @@ def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> Piecewise:
     s = np.linalg.solve(matrix, right)
     h = h[:, None]
     slope = d - h * (2 * s[:-1] + s[1:]) / 6
-    return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
+    return PiecewisePolynomial(
+        x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)])
+    )
 
 
 TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A, pairs of coil currents
-# largest distance of two equal heights, relative to the height range of the table
+# largest difference of heights that count as equal, relative to the height range of the table
 HEIGHT_TOLERANCE = 1e-6
-# Order of convergence of the force on quadratic triangles: 4 where the field is smooth, less at
-# corners of magnets and coils; tests/physics/test_magnetostatic.py limits the remaining error.
+# Convergence order of the force with the element size of quadratic triangles. The order is 4 for
+# smooth fields, and lower at corners of magnets and coils. tests/physics/test_magnetostatic.py
+# limits the remaining error.
 FORCE_CONVERGENCE_ORDER = 3
 
 
-# Linear magnetics: exponents of both currents that multiply each coefficient of the force.
+# Exponents of both currents in the terms of the force, for linear magnetic materials.
 CURRENT_EXPONENTS = {
     "c0": (0, 0),
     "c1": (1, 0),
@@ -109,33 +114,33 @@ FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
 def current_products(i1: Any, i2: Any) -> np.ndarray:
-    """Return the products of both currents with all exponents (..., 6)."""
+    """Return the products of powers of both currents (..., 6)."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
     return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
 
 
 @dataclass(frozen=True)
 class Coenergy:
-    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height ``y`` [m].
+    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] of currents i at the height ``y`` [m].
 
     The derivative of W with respect to the height is the force [N], and the derivatives with
     respect to the currents are the flux linkages [Wb].
     """
 
-    terms: Piecewise  # p (..., 6)
+    terms: PiecewisePolynomial  # p (..., 6)
 
     @cached_property
-    def slopes(self) -> tuple[Piecewise, Piecewise, Piecewise]:
-        """Return ``p`` and its first and second derivatives with respect to the height."""
+    def slopes(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
+        """Coefficients ``p``, and their first and second derivatives with respect to the height."""
         first = self.terms.derivative()
         return self.terms, first, first.derivative()
 
-    def inside(self, y: Any, where: str) -> np.ndarray:
-        """Return ``y`` if the table contains this height.
+    def require_height(self, y: Any, where: str) -> np.ndarray:
+        """Return the height ``y``; raise an error outside of the table's range.
 
         Raises
         ------
-        SimulationError : a height outside.
+        SimulationError : a height outside of the range of the table.
         """
         y, (low, high) = np.asarray(y, dtype=float), self.terms.knots[[0, -1]]
         outside = ~((y >= low) & (y <= high))
@@ -150,18 +155,17 @@ class Coenergy:
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
-        """Return the force on the sphere [N]; arguments broadcast."""
-        slopes = self.slopes[1](self.inside(y, "catch"))
+        """Return the force on the sphere [N]; the arguments may be arrays."""
+        slopes = self.slopes[1](self.require_height(y, "catch"))
         return np.asarray((slopes * current_products(i1, i2)).sum(axis=-1))
 
     def inductances(self, y: Any) -> np.ndarray:
         """Return the symmetric inductance matrix (..., 2, 2) [H]."""
-        return _current_hessian(self.terms(self.inside(y, "catch")))
+        return _current_hessian(self.terms(self.require_height(y, "catch")))
 
 
 def _current_hessian(p: np.ndarray) -> np.ndarray:
-    """Return the second derivatives (..., 2, 2) of ``p . products`` with respect to the
-    currents."""
+    """Return the Hessian (..., 2, 2) of ``p . products`` with respect to the currents."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
@@ -169,9 +173,9 @@ def _current_hessian(p: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class EMTable(EqualByContent):
-    """Table of the magnetostatic FE solutions at several heights.
+    """Table of magnetostatic finite-element solutions at several heights.
 
-    The table is exact in the currents because the materials are linear.
+    The dependence on the currents is exact, because the materials are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::
 
@@ -180,16 +184,16 @@ class EMTable(EqualByContent):
 
     ``y`` (n,) is the height of the sphere's centre above the kick actuator's top [m], forces in
     N, flux linkages in Wb, inductances in H, coil resistances in Ohm. A positive current gives
-    B_y > 0 on the axis; the sphere's moment points to +y.
+    B_y > 0 on the axis. The magnetic moment of the sphere points to +y.
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> EMTable:
-        """Return the table for magnets with another remanence and height.
+        """Return the table for magnets with a different remanence and height.
 
         The remanence is multiplied by ``remanence``, and the magnets are ``shift`` [m] higher. In
         linear materials the force between the magnets is proportional to the square of the
-        remanence. The contribution of a current is proportional to the remanence, and the
-        contribution of two currents does not depend on it.
+        remanence. Terms with one current are proportional to the remanence. Terms with products of
+        two currents do not depend on the remanence.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)
@@ -202,30 +206,30 @@ class EMTable(EqualByContent):
         )
 
     y: np.ndarray
-    coefficients: np.ndarray  # (n, 6) of the force, in the order of :data:`FORCE_COEFFICIENTS`
+    coefficients: np.ndarray  # (n, 6), named in :data:`FORCE_COEFFICIENTS`
     flux0: np.ndarray  # (n, 2)
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-    # the table at some of the heights, from a mesh with elements of twice the size
+    # table at some of the heights, from a mesh whose elements are twice as large
     coarser: EMTable | None = None
 
     @cached_property
-    def splines(self) -> Piecewise:
+    def splines(self) -> PiecewisePolynomial:
         """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
 
-        These splines preserve the accuracy of the finite elements between 41 nodes; other end
-        conditions and monotone interpolants do not.
+        Between 41 nodes, the splines are as accurate as the finite elements. Splines with other end
+        conditions, and monotone interpolants, are less accurate.
         """
         return interpolate_by_splines(self.y, self.coefficients)
 
     @cached_property
     def coenergy(self) -> Coenergy:
-        """Coenergy: integrals over y of the splines.
+        """Coenergy as the integral of the force splines over the height.
 
-        Integrating the force keeps force and flux exactly consistent and smooths. A differentiated
-        flux would lose an order. The free constants make the mean over the nodes equal to the mean
-        of the FE fluxes.
+        The force is then exactly the derivative of the coenergy. Differentiation of a flux spline
+        would reduce the order of accuracy. The integration constants make the mean flux over the
+        nodes equal to the mean of the finite-element solutions.
         """
         integrals = self.splines.integral()
         half = self.inductance / 2
@@ -239,7 +243,7 @@ class EMTable(EqualByContent):
     def facts(self) -> dict[str, float]:
         """Characteristic values of the actuator: force, resistance and inductance.
 
-        The force is the largest of the nine pairs of -0.1, 0 and 0.1 A in the coils.
+        The force is the largest force for the nine pairs of the coil currents -0.1, 0 and 0.1 A.
         """
         forces = compute_test_forces(self, TEST_CURRENTS)
         return self.mesh_errors | {
@@ -252,7 +256,7 @@ class EMTable(EqualByContent):
 
     @cached_property
     def mesh_errors(self) -> dict[str, float]:
-        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)`` with p = 3.
+        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)``, h: element size, p: order 3.
 
         The errors are relative to the largest force for :data:`TEST_CURRENTS` and to the largest
         inductance.
@@ -275,8 +279,8 @@ class EMTable(EqualByContent):
 
 
 def compute_test_forces(table: EMTable, currents: np.ndarray) -> np.ndarray:
-    """Compute forces (m, n) [N] at the nodes for ``currents`` (m, 2).
+    """Compute the forces (m, n) [N] at the n heights for m pairs of ``currents`` (m, 2).
 
-    The paper shows these curves in Fig. 6.
+    The curves are comparable with Fig. 6 of the paper on the kick actuator.
     """
     return np.array([current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

@@ -1,6 +1,7 @@
 """Memory that this process can still allocate.
 
-The machine, control groups, and a shell or batch system limit the memory of a process.
+The memory of a process is limited by the machine, by control groups, and by resource limits of a
+shell or batch system.
 
 Sources: Linux, Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/memory.rst; proc(5);
 getrlimit(2).
@@ -13,25 +14,25 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PAGE_SIZE_NAME = "SC_PAGE_SIZE"
-UNLIMITED_BYTES = 2**62  # bytes; control groups of version 1 write almost 2^63 for no limit
+UNLIMITED_BYTES = 2**62  # bytes; without a limit, control groups of version 1 report almost 2^63
 
 
 def available_bytes(root: Path = Path("/")) -> float:
     """Determine the memory [B] that this process can use without swapping.
 
-    The result is the free memory of the machine if the system states no other limit. Files below
-    ``root`` are read.
+    Without other limits, the result is the free memory of the machine. The limits are read from
+    files in ``root``, the root directory of the file system.
     """
     known = [
         *_free_memory_of_machine(root),
         *_free_memory_of_control_groups(root),
         *_free_memory_below_limits(root),
     ]
-    return max(min(known), 0.0) if known else _free_pages()
+    return max(min(known), 0.0) if known else _free_page_bytes()
 
 
-def _free_pages() -> float:
-    """Return the size of the free pages [B]."""
+def _free_page_bytes() -> float:
+    """Return the size of the free memory pages [B]."""
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 
@@ -45,7 +46,7 @@ def _free_memory_of_machine(root: Path) -> Iterator[float]:
 def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
     """Yield the free memory of each control group of this process [B].
 
-    File pages that can be reclaimed are free.
+    Reclaimable pages of the file cache count as free memory.
     """
     for line in _read_text(root / "proc/self/cgroup").splitlines():
         number, _, rest = line.partition(":")
@@ -58,7 +59,7 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
         else:
             continue
         here = Path(path.lstrip("/"))
-        # the path of the control group may be invisible in a container
+        # in a container, the directory of the control group may be invisible
         for folder in (here, *here.parents):
             limit, used = (_read_number(mount / folder / name) for name in names)
             if limit is None or used is None or limit >= UNLIMITED_BYTES:
@@ -87,7 +88,7 @@ def _free_memory_below_limits(root: Path) -> Iterator[float]:
 
 
 def _read_field(path: Path, name: str) -> float | None:
-    """Return the number behind a name in a file of lines ``NAME NUMBER``."""
+    """Return the number after ``name`` in a file with lines ``NAME NUMBER``."""
     for line in _read_text(path).splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:
@@ -96,13 +97,13 @@ def _read_field(path: Path, name: str) -> float | None:
 
 
 def _read_number(path: Path) -> float | None:
-    """Return the number in a file, or None without a number."""
+    """Return the number in a file, or None if the file contains no number."""
     text = _read_text(path).strip()
     return float(text) if text.isdigit() else None
 
 
 def _read_text(path: Path) -> str:
-    """Return the text of a file, empty if it is unreadable."""
+    """Return the text of a file; empty if the file is unreadable."""
     try:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

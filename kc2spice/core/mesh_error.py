@@ -1,8 +1,8 @@
-"""Estimated mesh errors of a model: names of the values, and their descriptions.
+"""Names and descriptions of the estimated mesh errors of a model.
 
-``mesh_error_resonance`` is the estimated relative error of the first resonance, and so on. Parts
-that solve a field on a mesh or on rings write these values; results, headers and ``explain`` print
-them.
+For example, ``mesh_error_resonance`` is the estimated relative error of the first resonance. Parts
+that solve a field on a mesh or on rings compute these values. Results, headers and ``explain``
+contain them.
 """
 
 from __future__ import annotations
@@ -10,25 +10,26 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-# number of unknowns of a plane mesh that take as long as one unknown of a solid mesh
+# number of unknowns of a plane mesh that need the computing time of one unknown of a solid mesh
 PLANE_UNKNOWN_RATIO = 4.0
 MESH_ERROR_PREFIX = "mesh_error_"  # prefix of values that are relative errors of other values
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 class MeshQuantity(NamedTuple):
-    """Quantity of a model that depends on the mesh.
+    """Quantity of a model whose value depends on the mesh.
 
-    ``values`` is the pattern of the names of its values. A run warns and ``verify`` fails if its
-    relative error exceeds ``coarse``, a usual tolerance of data sheets.
+    ``value_names`` is a pattern of the names of the quantity's values. If the relative mesh error
+    exceeds ``warning_limit``, a run prints a warning and ``verify`` fails. The limits are usual
+    tolerances of data sheets.
     """
 
-    words: str
-    values: str = ""
-    coarse: float | None = None
+    description: str
+    value_names: str = ""
+    warning_limit: float | None = None
 
 
-MESH_QUANTITIES = {  # keyed by the suffix of the name of the error
+MESH_QUANTITIES = {  # keyed by the last part of the error's name
     "resonance": MeshQuantity("first resonance", "resonance_short_hz", 0.03),
     "capacitance": MeshQuantity("capacitance", "capacitance_free_f", 0.05),
     "stroke": MeshQuantity("stroke", "free_stroke_*", 0.1),
@@ -41,26 +42,26 @@ MESH_QUANTITIES = {  # keyed by the suffix of the name of the error
 }
 
 
-def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """List the estimated relative mesh errors, keyed by a description of the quantity."""
-    return {item.words: error for item, error in _estimates(facts)}
+def list_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
+    """Return the estimated relative mesh errors, keyed by a description of the quantity."""
+    return {item.description: error for item, error in _list_estimates(facts)}
 
 
-def limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """Yield description, estimated error and limit of each quantity that has a limit."""
-    for item, error in _estimates(facts):
-        if item.coarse is not None:
-            yield item.words, error, item.coarse
+def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
+    """Yield description, estimated mesh error and limit of each quantity that has a limit."""
+    for item, error in _list_estimates(facts):
+        if item.warning_limit is not None:
+            yield item.description, error, item.warning_limit
 
 
 def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
-    """Select the values of a model that :func:`mesh_errors` reads."""
+    """Select the mesh errors among the values of a model, as :func:`list_mesh_errors` reads."""
     names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
 
 
-def _estimates(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
-    """Yield each quantity with its estimated error."""
+def _list_estimates(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
+    """Yield each mesh-dependent quantity with its estimated error."""
     for name, item in MESH_QUANTITIES.items():
         if f"{MESH_ERROR_PREFIX}{name}" in facts:
             yield item, facts[f"{MESH_ERROR_PREFIX}{name}"]
@@ -84,5 +85,5 @@ def describe_mesh_errors(facts: Mapping[str, float]) -> str:
     >>> describe_mesh_errors(facts)
     'first resonance 2.1 %, stroke 5 %'
     """
-    errors = mesh_errors(facts).items()
+    errors = list_mesh_errors(facts).items()
     return ", ".join(f"{words} {100 * error:.2g} %" for words, error in errors)

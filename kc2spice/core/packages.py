@@ -1,6 +1,6 @@
 """Commands that install programs on the operating system of this machine.
 
-:func:`install_command` takes names of Debian packages. The function returns a line for the shell,
+The argument of :func:`install_command` are names of Debian packages. The result is a shell command,
 or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS and
 Windows are not tested.
 """
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 _OS_RELEASE = Path("/etc/os-release")
-# First words of the install command, keyed by ID or ID_LIKE of /etc/os-release(5).
+# First words of the install command, keyed by the fields ID or ID_LIKE of /etc/os-release(5).
 _INSTALL_COMMANDS = {
     "debian": "apt-get install",
     "ubuntu": "apt-get install",
@@ -19,10 +19,10 @@ _INSTALL_COMMANDS = {
     "rhel": "dnf install",
     "centos": "dnf install",
     "darwin": "brew install",
-    "win32": "scoop bucket add extras; scoop install",  # its bucket contains ngspice
+    "win32": "scoop bucket add extras; scoop install",  # the bucket "extras" contains ngspice
 }
-# Package names on other systems, keyed by Debian package. The gmsh wheels of macOS and Windows
-# contain the libraries that gmsh loads.
+# Package names on other systems, keyed by the name of the Debian package. On macOS and Windows, the
+# gmsh wheel contains all libraries that gmsh loads.
 _PACKAGE_NAMES = {
     _INSTALL_COMMANDS["fedora"]: {
         "ngspice": "ngspice",
@@ -73,7 +73,7 @@ def install_command(*packages: str) -> str:
 
 
 def _find_command(platform: str, release: str) -> str:
-    """Return the first words of the install command of a system; empty if unknown."""
+    """Return the first words of the install command; empty for an unknown system."""
     systems = [platform]
     if platform == "linux":
         fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)
@@ -82,7 +82,7 @@ def _find_command(platform: str, release: str) -> str:
 
 
 def _read_os_release() -> str:
-    """Return the text of /etc/os-release, empty on systems without that file."""
+    """Return the text of /etc/os-release; empty on systems without this file."""
     try:
         return _OS_RELEASE.read_text(encoding="utf-8")
     except OSError:

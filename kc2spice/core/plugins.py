@@ -1,4 +1,4 @@
-"""Part types, dialects and reductors of other installed packages.
+"""Discovery of part types, dialects and reductors of other installed packages.
 
 Another package declares such objects as entry points of a group. The name of an entry point is the
 name of its object (Python Packaging User Guide, "Entry points specification").
@@ -31,7 +31,7 @@ def plugin_names(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, name: str) -> object:
-    """Import the object of an entry point; None if the group has no entry point of this name.
+    """Import the object of an entry point; None if the group lacks this name.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def load_plugin(group: str, name: str) -> object:
         return None
     try:
         return entry.load()
-    except Exception as error:  # another package can raise any error when it is imported
+    except Exception as error:  # the import of another package may raise any error
         package = "the package" if entry.dist is None else entry.dist.name
         raise UsageError(
             "an installed package cannot be imported",

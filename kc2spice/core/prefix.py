@@ -1,25 +1,25 @@
-"""Readable numbers: SI prefixes, percent, and 0 for rounding errors."""
+"""Text of numbers with SI prefixes or in percent, and 0 in place of rounding errors."""
 
 from __future__ import annotations
 
 import math
 
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
-# Units with a prefix: the unit without its prefix, and the factor of the prefix.
+# Units that contain a prefix: the unit without the prefix, and the factor of the prefix.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
-# Units of areas and volumes with their value in SI.
+# Units of areas and volumes, with their size in m2 or m3.
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
 _VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
 _POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
-SMALLEST_SHARE = 0.1  # of a unit of area or volume, below which a smaller unit is used
+MIN_SHARE_OF_UNIT = 0.1  # of a unit of area or volume; for smaller values, a smaller unit is used
 LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
-_RATIO_WORDS = "of ", "relative"  # words with which units of ratios begin
+_RATIO_WORDS = "of ", "relative"  # first words of units of ratios
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
 
 def prefix_power(value: float) -> int:
-    """Return the exponent of the SI prefix of a number, 0 without a prefix.
+    """Return the exponent of ten of the SI prefix of a number; 0 for no prefix.
 
     Examples
     --------
@@ -31,7 +31,7 @@ def prefix_power(value: float) -> int:
 
 
 def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``.
+    """Return the text of a number with an SI prefix, such as ``505.7 µs`` for 5.0573e-4 s.
 
     Examples
     --------
@@ -42,12 +42,12 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
         return "—"
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
-    if not _takes_prefix(unit):
+    if not _accepts_prefix(unit):
         return f"{value:.{digits}g} {_SHOWN_UNITS.get(unit, unit)}".strip()
     if unit in _PREFIXED_UNITS:
         plain, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
-            return f"{value:.{digits}g} kg"  # gigagrams are not in use
+            return f"{value:.{digits}g} kg"  # a prefix such as in Gg is not usual
         return format_quantity(factor * value, plain, digits)
     if _is_power_of_length(unit):
         return _format_power_of_length(value, unit, digits)
@@ -55,7 +55,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
 
 
 def _is_power_of_length(unit: str) -> bool:
-    """Return whether a unit begins with an area or a volume, whose prefix has the same power."""
+    """Return whether a unit begins with m2 or m3, so that its prefix is squared or cubed."""
     return unit.partition("/")[0] in _POWERS_OF_LENGTH
 
 
@@ -63,26 +63,26 @@ def _format_power_of_length(value: float, unit: str, digits: int) -> str:
     """Return an area or a volume in the unit that gives the shortest number."""
     base, slash, divisor = unit.partition("/")
     units = _POWERS_OF_LENGTH[base]
-    large = [name for name, size in units.items() if abs(value) >= SMALLEST_SHARE * size]
+    large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
     name = large[0] if large else list(units)[-1]
     sign = "−" if value < 0.0 else ""
     return f"{sign}{abs(value) / units[name]:.{digits}g} {name}{slash}{divisor}"
 
 
-def _takes_prefix(unit: str) -> bool:
+def _accepts_prefix(unit: str) -> bool:
     """Return whether a unit takes a prefix; a phrase such as ``of the peak`` does not."""
     return bool(unit) and (" " not in unit or " per " in unit)
 
 
 def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str:
-    """Return the number with the SI prefix of 10^``power``."""
+    """Return the text of a number with the SI prefix for 10^``power``."""
     sign = "−" if value < 0.0 else ""
     digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
     return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
 
 
 def format_ratio(value: float | None) -> str:
-    """Return a ratio with two digits; a rounding error prints 0.
+    """Return the text of a ratio with two digits; ``0`` for a rounding error.
 
     Examples
     --------
@@ -94,11 +94,11 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return a value and its limit with the same prefix: 406 kHz and 500 kHz.
+    """Return the texts of a value and its limit with one prefix, as 406 kHz and 500 kHz.
 
-    A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
-    limit, or to 1 for ratios, are printed as 0. Ratios, whose unit is ``of …`` or ``relative …``,
-    are printed in percent.
+    If value and limit differ by orders of magnitude, each has a separate prefix. Values that are
+    rounding errors relative to the limit, or relative to 1 for ratios, are printed as 0. Ratios,
+    whose unit is ``of …`` or ``relative …``, are printed in percent.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     >>> format_value_and_limit(2.93e-4, 0.1, "of the energy exchanged")
     ('0.0293 % of the energy exchanged', '10 %')
     """
-    prefixed = _takes_prefix(unit)
+    prefixed = _accepts_prefix(unit)
     plain = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
     if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0

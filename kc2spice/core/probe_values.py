@@ -1,7 +1,7 @@
-"""Values that probes compute from a wave over its scale: extremes, means, crossings, levels.
+"""Values that probes compute from a wave: extremes, means, crossings and sound levels.
 
-:func:`compute_probe_value` is the entry point. Its input is a wave as arrays, its output one
-number. Functions of frequency count by their magnitude.
+:func:`compute_probe_value` computes one number from the arrays of a wave and of its scale, such as
+times. Of a complex response over frequency, the magnitude is used.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
 from kc2spice.core.waveforms import interpolate
 
-# largest relative correction of a maximum between points: 3 % at a distance of half a half-width
+# Largest relative correction of a maximum between two points, which is 3 % if the points are half a
+# half-width away from the resonance.
 MAX_CORRECTION = 0.05
-SCALE_ROUNDING = 1e-9  # relative rounding error of the ends of the scale in the simulator
+SCALE_ROUNDING = 1e-9  # relative rounding error of the first and last point in the simulator
 
 
 def compute_probe_value(
@@ -44,11 +45,12 @@ def compute_probe_value(
     where : str
         Key of the probe in a scene, which errors name.
     at : float, optional
-        Place on the scale at which the wave is read. By default all points are read.
+        Position on the scale (time, frequency or swept value) at which the wave is read. By default
+        all points are used.
     level : float, default 0
         Level of a crossing.
     window : tuple of float, optional
-        First and last place on the scale that are read.
+        First and last position on the scale. Only the points between them are used.
     reference : float, default 20 uPa
         Rms pressure [Pa] at 0 dB of a sound pressure level.
 
@@ -84,7 +86,7 @@ def _compute_rms(
     at: float | None,
     window: tuple[float, float] | None,
 ) -> float:
-    """Return the rms value of a wave, of a response at a place or of its largest value."""
+    """Return the rms value of a wave; of a response, at one frequency or at its maximum."""
     response = np.iscomplexobj(values)
     take = "max" if response else "rms"
     size = compute_probe_value(take, scale, values, where, at=at, window=window) or 0.0
@@ -95,7 +97,7 @@ def _compute_rms(
 def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], where: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points within a window, with its ends on the straight lines between them.
+    """Return the points within a window, and interpolated points at both ends of the window.
 
     Raises
     ------
@@ -127,15 +129,16 @@ def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: flo
 
 
 def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Return place and value of the largest magnitude of a response, also between points.
+    """Return frequency and value of the largest magnitude of a response.
 
-    Near the pole ``a + j w0`` a response is ``R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a
-    parabola in ``w``, which three points determine:
+    The maximum may lie between two points. Near the pole ``a + j w0`` a response is ``R / (j w - a
+    - j w0)``. Then ``1 / |y|^2`` is a parabola in ``w``, which three points determine:
 
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
-    The largest point itself is returned at the ends of the range, and where the parabola exceeds it
-    by more than :data:`MAX_CORRECTION`: the points are then too far apart.
+    The largest point is returned without interpolation if it is the first or last point. The same
+    holds if the maximum of the parabola exceeds it by more than :data:`MAX_CORRECTION`, because the
+    points are then too far apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
@@ -158,17 +161,18 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
 
 
 def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the smallest magnitude of a frequency response, also between its points.
+    """Return the smallest magnitude of a response.
 
-    Near a zero the reciprocal of a response has a pole.
+    The minimum may lie between two points. It is the maximum of the reciprocal response.
     """
     return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
 
 
 def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the mean rate at which ``values`` rise through their mean in the last half.
+    """Return the mean frequency of a wave over the last half of its scale.
 
-    The result is None with fewer than two crossings.
+    A cycle is the interval between two points at which the wave rises through its mean. The result
+    is None without a complete cycle.
     """
     late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]
@@ -181,7 +185,7 @@ def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the first place on the scale where the values cross ``level``, interpolated."""
+    """Return the first position on the scale where the interpolated values cross ``level``."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
     if changes.size == 0:
@@ -192,13 +196,14 @@ def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float
 
 
 def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    span = scale[-1] - scale[0]  # negative if the scale falls, as is the integral below
+    span = scale[-1] - scale[0]  # negative, like the integral, if the scale falls
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
     )  # the mean of a single point is its value
 
 
-# Functions of probes of the scale (n,), the values (n,) and a level, keyed by name.
+# Functions that compute the value of a probe from the scale (n,), the values (n,) and a level. The
+# keys are the names of the values.
 _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
@@ -213,7 +218,7 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
 
 
 def _is_on_scale(scale: np.ndarray, place: float) -> bool:
-    """Return whether a position is on the scale, within rounding."""
+    """Return whether a position is within the scale, except for rounding errors."""
     slack = SCALE_ROUNDING * float(np.ptp(scale))
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
@@ -231,7 +236,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
 
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
-    """Return the interpolated value at ``place``; the magnitude of a complex value."""
+    """Return the interpolated value at the position ``place``; its magnitude if complex."""
     if not _is_on_scale(scale, place):
         raise _make_outside_error(f"{where}.at", place, scale)
     result = interpolate(place, scale, values)

@@ -1,10 +1,11 @@
-"""Progress, remaining time and wall time of the stages of a run.
+"""Reports of progress, remaining time and wall time of the stages of a run.
 
-``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and its wall and
-remaining time at DEBUG. Nothing is printed unless the caller adds a handler.
+``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and the wall time
+and remaining time of the stage at the level DEBUG. Without a log handler of the caller, nothing is
+printed.
 
-Computations estimate their remaining time by :class:`StepTimer` or :class:`ConvergenceTimer`, which
-call :func:`report_remaining`. The estimate belongs to the stage within which they run.
+:class:`StepTimer` and :class:`ConvergenceTimer` estimate the remaining time of a computation, and
+call :func:`report_remaining`. The estimate counts for the stage that contains the computation.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
 
-ERROR_BUDGET = "error budget"  # stage that logs the error limits of the refined settings
+ERROR_BUDGET = "error budget"  # name of the stage that logs the errors of refined settings
 LOGGER = logging.getLogger("kc2spice")
 LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
@@ -27,14 +28,15 @@ _report: ContextVar[Callable[[float, str], None] | None] = ContextVar("report", 
 
 
 def ignore_progress(stage: str, done: float | None, text: str) -> None:
-    """Accept a progress value without any effect."""
+    """Ignore a report of progress."""
 
 
 @contextmanager
 def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[[float], None]]:
-    """Report a stage, and yield a function that reports the completed fraction.
+    """Report the start of a stage, and yield a function that reports its completed fraction.
 
-    Within the context, :func:`report_remaining` reports the fraction of the time that has elapsed.
+    Within the ``with`` block, :func:`report_remaining` also reports a completed fraction: the
+    elapsed share of the estimated time.
 
     Examples
     --------
@@ -67,15 +69,15 @@ def report_remaining(seconds: float, step: str) -> None:
 
 
 class StepTimer:
-    """Remaining time of steps whose relative times are known."""
+    """Estimate of the remaining time of steps whose relative durations are known."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
 
     def begin_step(self, number: int, steps: Sequence[tuple[str, float]]) -> None:
-        """Report the remaining time at the begin of a step, the first of which has the number 0.
+        """Report the remaining time at the start of the step with this number, from 0 on.
 
-        ``steps`` contains the name and the relative time of each step.
+        ``steps`` contains the name and the relative duration of each step.
         """
         finished, remaining = (
             sum(size for _, size in part) for part in (steps[:number], steps[number:])
@@ -85,16 +87,16 @@ class StepTimer:
 
 
 class ConvergenceTimer:
-    """Remaining time of an iteration whose error declines geometrically.
+    """Estimate of the remaining time of an iteration whose error declines geometrically.
 
     Parameters
     ----------
     target : float
         Error at which the iteration ends.
     confirmations : int
-        Steps in a row whose error must be within the target.
+        Number of consecutive steps whose error must be within the target.
     usual : int
-        Number of steps that is expected before the errors show their decline.
+        Expected number of steps, as long as the decline of the errors is unknown.
     step : str
         Name of a step.
     """
@@ -105,7 +107,7 @@ class ConvergenceTimer:
         self._start = time.perf_counter()
 
     def end_step(self, error: float) -> None:
-        """Report the time of the remaining steps after a step with an ``error``."""
+        """Report the remaining time after a step whose error is ``error``."""
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count
@@ -114,7 +116,8 @@ class ConvergenceTimer:
     def remaining_steps(self) -> int:
         """Return the number of steps that the decline of the latest errors predicts.
 
-        The latest half of the errors is used, because many iterations converge faster and faster.
+        Only the second half of the errors is used, because the convergence of many iterations
+        accelerates.
         """
         known = [error for error in self._errors if math.isfinite(error) and error > 0]
         known = known[(len(known) - 1) // 2 :]
@@ -122,14 +125,14 @@ class ConvergenceTimer:
         if len(known) > 1 and known[-1] < known[0]:
             rate = math.log(known[0] / known[-1]) / (len(known) - 1)
             steps = math.ceil(max(math.log(known[-1] / self._target) / rate, 0.0))
-            # the step that reaches the target is the first of its confirmations
+            # the first step within the target counts as a confirmation
             return max(steps + self._confirmations - (1 if steps else met), 0)
         return max(self._usual - len(self._errors), 1)
 
 
 @dataclass
 class Clock:
-    """Wall time [s] of each stage; 0 for a stage that was skipped or cached."""
+    """Wall time [s] of each stage; 0 for a skipped stage, or if the cache had its result."""
 
     progress: Progress = ignore_progress
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))

@@ -1,9 +1,10 @@
-"""Types of the keys of a scene: numbers in SI with their units, and frozen tables.
+"""Types of the keys of a scene: numbers with units, and tables with a schema.
 
-Errors name the key in the user's spelling.
+Errors contain the name of the key in the user's spelling.
 
-``"0.5 mm"`` becomes ``5e-4``. All factors are powers of ten, so a quantity is a decimal number with
-a shifted exponent and is rounded once, when it becomes a float: ``"50 um"`` equals ``50e-6``.
+The text ``"0.5 mm"`` becomes the number ``5e-4``. All factors of units are powers of ten, so the
+program only shifts the decimal exponent. The number is rounded once, when it becomes a float: ``"50
+um"`` equals ``50e-6`` exactly.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
 
 KeyPath = tuple[str | int, ...]
-# Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
+# Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
 _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
@@ -50,28 +51,28 @@ def describe_invalid(
 ) -> tuple[KeyPath, dict[str, Any]]:
     """Return the path of the first invalid key, and its message, got, expected and hint.
 
-    An unknown key is reported before a missing key, because it may be a misspelling of it. ``at``
-    is the path of the table, ``also`` are accepted keys besides those of the ``schema``, ``table``
-    is the table as typed.
+    An unknown key is reported before a missing key, because the unknown key may be a misspelling of
+    the missing key. ``at`` is the path of the table, ``also`` are accepted keys in addition to the
+    keys of the ``schema``, and ``table`` is the table as typed.
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
-    typed = _find_value(table, path, result["input"])
-    # the error belongs to a whole table
+    typed = _find_typed_value(table, path, result["input"])
+    # the validator of a table has named the invalid key
     if key := result.get("ctx", {}).get("key"):
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
-        path, typed = (*path, *below), _find_value(typed, below, None)
+        path, typed = (*path, *below), _find_typed_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _explain_invalid(result, schema, full_path, also)
-    # for contradictory keys, the message of the validator contains the reason
+    # if two keys contradict each other, the message contains the reason, and no value is quoted
     contradicts = kind == "value_error" and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
-def _find_value(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value at ``path`` of a table, in SI units if ``converted``."""
+def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
+    """Return the value at ``path`` of a table as typed; otherwise the ``converted`` value."""
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -116,8 +117,7 @@ def _explain_invalid(
             if full_path[0] in (
                 "title",
                 "include",
-                # the text is written into the netlist, where a line break would begin a new
-                # statement
+                # a line break in this text would begin a new statement of the netlist
             ):
                 expected = "one line of text without control characters"
             return "not allowed", expected, None
@@ -143,7 +143,7 @@ def _explain_invalid(
                 None,
             )
         case "model_type" | "dict_type":
-            entry = not full_path or isinstance(full_path[-1], int)  # an entry of a list
+            entry = not full_path or isinstance(full_path[-1], int)  # the value is a list entry
             table = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
             hint = f"write a table {table} with its keys"
             if not isinstance(details["input"], (Mapping, list)) and len(full_path) > 1:
@@ -181,7 +181,7 @@ def _explain_invalid(
 
 
 def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
-    """Suggest a value within the limits of the key."""
+    """Suggest a value of ``key`` within the limits of its schema."""
     (kind, bound), *_ = limits.items()
     lower = kind in ("gt", "ge")
     if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
@@ -190,7 +190,7 @@ def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: s
     return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
 
-# Common names that the schema replaces by another key, and their relation.
+# Common names of quantities, the keys that scenes use in their place, and the relation of both.
 _REPLACED_NAMES = {
     "radius": ("diameter", "use the key diameter, which is twice the radius"),
     "diameter": ("radius", "use the key radius, which is half the diameter"),
@@ -202,20 +202,20 @@ _REPLACED_NAMES = {
 
 
 def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
-    """Suggest the key of the table that has the meaning of ``word``."""
+    """Suggest the key that scenes use in place of the common name ``word``."""
     key, hint = _REPLACED_NAMES.get(word.lower(), ("", ""))
     return hint if key in fields else None
 
 
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
-    """Return hints about which keys replace unsupported keys of a table."""
+    """Return the hint for each unsupported key of a table, with the key to use in its place."""
     return getattr(table, "absent", {})
 
 
 def _explain_missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
-    """Return the values that a missing key accepts, and the line to add."""
+    """Return the accepted values of a missing key, and the line to add to the file."""
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
     value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
@@ -235,13 +235,13 @@ def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
 
 
 def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
-    """Return the key at ``path``, whose numbers of list entries are ignored."""
+    """Return the field of the key at ``path``; numbers of list entries are ignored."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
 
 
 def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """Return the only required key of the table at ``path``, None unless it is a text."""
+    """Return the only required key of the table at ``path`` if its value is a text."""
     fields = _find_schema(schema, (*path, "")).model_fields
     required = [name for name, field in fields.items() if field.is_required()]
     if len(required) == 1 and fields[required[0]].annotation is str:
@@ -250,7 +250,7 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 
 def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """Return the SI unit of the key at ``path``, None without a unit."""
+    """Return the SI unit of the key at ``path``; None for a key without a unit."""
     field = _find_field(schema, path)
     return None if field is None else find_unit(field)
 
@@ -264,14 +264,14 @@ def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
     """Return the innermost schema that contains ``path``."""
     for step in path[:-1]:
         if step in schema.model_fields:
-            schema = submodel(schema.model_fields[str(step)].annotation) or schema
+            schema = find_section(schema.model_fields[str(step)].annotation) or schema
     return schema
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """Yield all keys of a schema in order; the keys of a table follow its name."""
+    """Yield all keys of a schema in order; the keys of a subtable follow its name."""
     for name, field in schema.model_fields.items():
-        section, path = submodel(field.annotation), (field.alias or name,)
+        section, path = find_section(field.annotation), (field.alias or name,)
         if section is None:
             yield path, field
             continue
@@ -279,10 +279,10 @@ def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldI
             yield path + below, item
 
 
-def submodel(annotation: Any) -> type[BaseModel] | None:
-    """Return the section in a field's annotation, ``Kick`` for ``Kick | None``.
+def find_section(annotation: Any) -> type[BaseModel] | None:
+    """Return the section class in a field's annotation, as ``Kick`` for ``Kick | None``.
 
-    The result is None for other annotations.
+    The result is None if the annotation contains no section class.
     """
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
@@ -291,16 +291,16 @@ def submodel(annotation: Any) -> type[BaseModel] | None:
 
 
 def _field_metadata(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata of a field and of its elements."""
+    """Yield the metadata of a field and of the elements of a list."""
     yield from field.metadata
     for argument in get_args(field.annotation):
         yield from get_args(argument)[1:]
 
 
 def find_unit(field: FieldInfo) -> str | None:
-    """Return the SI unit to which the validator of a number converts.
+    """Return the SI unit of a numeric field; None for a field without a unit.
 
-    The unit may apply to each number of a list.
+    In a list of numbers, all numbers have this unit.
     """
     for meta in _field_metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
@@ -309,7 +309,7 @@ def find_unit(field: FieldInfo) -> str | None:
 
 
 def plausible_range_of(field: FieldInfo) -> Plausible | None:
-    """Return the range of plausible values of a key, None if the key declares none."""
+    """Return the range of plausible values of a key; None for a key without such a range."""
     return next((meta for meta in _field_metadata(field) if isinstance(meta, Plausible)), None)
 
 
@@ -320,7 +320,7 @@ def join_path(path: KeyPath) -> str:
 
 
 def display_text(value: Any) -> str:
-    """Format a value as TOML, or describe a number with too many digits."""
+    """Format a value as TOML; a number with too many digits is described in words."""
     try:
         return clip_text(_format_toml(value))
     except ValueError:
@@ -356,7 +356,7 @@ _PREFIX = {
 }  # fmt: skip
 
 
-# Power of ten of each unit, and its exponents of the base units kg, m, s, A, K.
+# Power of ten of each unit, and the exponents of the base units kg, m, s, A, K in the unit.
 _UNITS = {
     "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
     "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
@@ -367,7 +367,7 @@ _UNITS = {
     "F": (0, -1, -2, 4, 2, 0), "H": (0, 1, 2, -2, -2, 0), "Wb": (0, 1, 2, -2, -1, 0),
     "T": (0, 1, 0, -2, -1, 0), "l": (-3, 0, 3, 0, 0, 0), "L": (-3, 0, 3, 0, 0, 0),
 }  # fmt: skip
-# Symbols of units that users write as words, by the singular of the word.
+# Symbols of units, keyed by the name of the unit in the singular.
 _UNIT_WORDS = {
     "gram": "g", "kilogram": "kg", "metre": "m", "meter": "m", "millimetre": "mm",
     "millimeter": "mm", "micrometer": "um", "micron": "um", "second": "s", "sec": "s", "volt": "V",
@@ -380,14 +380,14 @@ _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
 _UNIT_SPELLINGS = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "}
 )
-# characters of a quantity with its unit; no meaningful text is that long
+# largest number of characters of a quantity with its unit
 _MAX_QUANTITY_LENGTH = 200
 
 
 def _look_up_unit(text: str) -> tuple[int, ...] | None:
     """Look up a unit with or without prefix.
 
-    A unit without prefix has precedence: ``m`` is metre, ``T`` tesla.
+    A unit without prefix has precedence: ``m`` means metre, ``T`` tesla.
     """
     if text in _UNITS:
         return _UNITS[text]
@@ -398,8 +398,8 @@ def _look_up_unit(text: str) -> tuple[int, ...] | None:
 def _parse_unit(text: str) -> tuple[int, ...] | None:
     """Parse a unit such as ``"A/(m s)"``; return None for other text.
 
-    A unit is a product divided by another product. Blanks separate factors, each with an optional
-    one-digit power.
+    A unit is a product of factors, or a quotient of two products. Blanks separate the factors. Each
+    factor may have a one-digit exponent.
     """
     top, slash, bottom = text.translate(_UNIT_SPELLINGS).partition("/")
     if slash and not bottom.strip():
@@ -418,7 +418,7 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
 
 
 def _parse_quantity(text: str, si: str) -> float:
-    """Parse a number with a unit; raise a ValueError that describes the fault."""
+    """Convert a text with a number and a unit to ``si``; errors are ValueErrors."""
     match = _NUMBER.fullmatch(text) if len(text) <= _MAX_QUANTITY_LENGTH else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")
@@ -436,15 +436,16 @@ def _parse_quantity(text: str, si: str) -> float:
 
 
 def quantity(value: object, si: str, *, where: str | None = None) -> float:
-    """Return ``value`` in the SI unit ``si``, ``""`` for a plain number.
+    """Convert ``value`` to the SI unit ``si``, which is ``""`` for a plain number.
 
-    ``%`` is a unit of plain numbers.
+    A number is returned unchanged. A string is a number with a unit (``"100 V"``, ``"25 us"``);
+    plain numbers may have the unit ``%``.
 
     A number is taken as SI already; a string is a number with a unit (``"100 V"``, ``"25 us"``).
 
     Raises
     ------
-    UsageError : not a finite number, or a unit of another dimension.
+    UsageError : the value is not a finite number, or its unit has a wrong dimension.
     """
     expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
     try:
@@ -472,8 +473,8 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 
 
 def _suggest_spelling(value: object, si: str) -> str | None:
-    """Suggest the spelling of a quantity with a decimal comma or a missing or misspelt unit."""
-    from difflib import get_close_matches  # imported here, because most values are valid
+    """Suggest a correction of a decimal comma, or of a missing or misspelt unit."""
+    from difflib import get_close_matches  # imported here, because most values need no correction
 
     if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
@@ -491,7 +492,7 @@ def _suggest_spelling(value: object, si: str) -> str | None:
                 return f"write a number of at most 1e300 {si}".rstrip()
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
             advice = f'write  "{f"{number} {unit}".strip()}"'
-            if begun is not None and not begun[2] and si in _UNITS:  # no unit, so no prefix either
+            if begun is not None and not begun[2] and si in _UNITS:  # no unit and no prefix
                 advice += f'  or, with a prefix,  "{number} m{si}"'
             return advice
     if begun is None:
@@ -507,7 +508,7 @@ def _suggest_spelling(value: object, si: str) -> str | None:
 def invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Make the error of a validator for an invalid value, or for the ``key`` of a table."""
+    """Make the error of a validator for an invalid value, or for an invalid ``key`` of a table."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
@@ -537,13 +538,13 @@ def _require_ring_radii(value: object) -> object:
 
 
 class ScalePlace(float):
-    """Position on the scale of an analysis; ``unit`` is empty if the text has none."""
+    """Position on the scale of an analysis; ``unit`` is empty for a text without a unit."""
 
     unit: str = ""
 
 
-# Units of the range of an analysis: units of scales, and units of quantities that a source
-# prescribes.
+# Units of the range of an analysis: time, frequency, and all quantities that a source can prescribe
+# in a dc sweep.
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
@@ -574,11 +575,11 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the type of a number in ``unit``; a string may have another unit.
+    """Return the type of a key with a number in ``unit``.
 
     Raises
     ------
-    UsageError : ``unit`` is not a product or quotient of SI units.
+    UsageError : ``unit`` is not a product or a quotient of SI units.
     """
     if _parse_unit(unit) is None:
         raise UsageError(
@@ -592,10 +593,10 @@ def si(unit: str) -> BeforeValidator:
 
 @dataclass(frozen=True)
 class Plausible:
-    """Mark of a key with a range of plausible values.
+    """Range of plausible values of a key, as metadata of its type.
 
-    Plausible values lie between ``low`` and ``high`` in ``unit``, and ``why`` states the reason.
-    Zero is accepted, for example if a tip has no mass.
+    Plausible values are between ``low`` and ``high`` in ``unit``, and ``why`` states the reason.
+    Zero is accepted, for example for a tip without mass.
     """
 
     unit: str
@@ -644,14 +645,14 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 
 
 @dataclass(frozen=True)
-class Notch:
-    """Mark of a key that trades computing time for accuracy.
+class RefinementRule:
+    """Rule that refines a key which trades computing time for accuracy.
 
-    One notch finer multiplies the key by ``factor``. With ``spaces`` the key counts points, and the
-    number of spaces between them is multiplied. ``finest`` is a value below which rounding
-    dominates. ``model`` marks a key that does not change the time of the simulator. ``mesh`` marks
-    the fineness of a mesh or of rings, whose error the part estimates. The mark applies if the
-    keys ``when`` of its table have these values.
+    One refinement step multiplies the value of the key by ``factor``. If ``spaces`` is true, the
+    key is a number of points, and the number of intervals between the points is multiplied. Below
+    the value ``finest``, rounding errors dominate. ``model`` marks a key that does not change the
+    time of the simulator. ``mesh`` marks a key for the fineness of a mesh or of rings, whose error
+    the part estimates. The rule applies only if the keys in ``when`` have the values in ``when``.
     """
 
     factor: float
@@ -661,21 +662,23 @@ class Notch:
     mesh: bool = False
     when: tuple[tuple[str, object], ...] = ()
 
-    def moved(self, value: float, notches: float) -> float:
-        """Return ``value`` refined by a number of notches, rounded to six digits or to an
-        integer."""
-        factor = self.factor**notches
+    def refine(self, value: float, steps: float) -> float:
+        """Return ``value`` after a number of refinement ``steps``.
+
+        The result is rounded to six digits or to an integer.
+        """
+        factor = self.factor**steps
         if not isinstance(value, int):
             return float(f"{factor * value:.6g}")
         return round(factor * (value - 1)) + 1 if self.spaces else round(factor * value)
 
 
 class Section(BaseModel):
-    """Table of a scene file; it rejects unknown keys and later changes."""
+    """Base class of tables of a scene file, which rejects unknown keys and later changes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
-    listed: ClassVar[str] = "kc2spice scenes --keys"  # command or page with all keys and choices
-    absent: ClassVar[Mapping[str, str]] = {}  # hints for keys of other commands, by key
+    listed: ClassVar[str] = "kc2spice scenes --keys"  # command that lists all keys and choices
+    absent: ClassVar[Mapping[str, str]] = {}  # hints for unsupported keys, keyed by name
 
 
 Schema = TypeVar("Schema", bound=Section)
@@ -687,13 +690,14 @@ def validate(
     where: str,
     context: Mapping[str, Any] | None = None,
 ) -> Schema:
-    """Convert a table to a ``schema``; an instance of the schema is returned unchanged.
+    """Convert a table to an instance of ``schema``; return an instance unchanged.
 
-    ``where`` is a key, or a file if it ends in a colon. Validators receive the ``context``.
+    ``where`` names the table in errors: a key, or a file name with a final colon. The validators of
+    the schema receive ``context``.
 
     Raises
     ------
-    UsageError : a key is unknown, missing, of the wrong unit, or contradicts another.
+    UsageError : a key is unknown or missing, has a wrong unit, or contradicts another key.
     """
     if isinstance(table, schema):
         return table

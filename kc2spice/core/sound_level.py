@@ -9,7 +9,7 @@ import numpy as np
 # Pa, reference pressures of ISO 1683
 GAS_REFERENCE = 20e-6
 LIQUID_REFERENCE = 1e-6
-SMALLEST_RATIO = 1e-15  # ratio of pressures at which a level ends, because silence has none
+SMALLEST_RATIO = 1e-15  # smallest ratio of pressures, because the level of silence is infinite
 
 LEVEL_UNIT = "dB"
 
@@ -22,7 +22,7 @@ class SoundLevel(NamedTuple):
     reference : float
         Rms pressure [Pa] at 0 dB.
     decibels : float or None
-        Level [dB], None if it is unknown.
+        Level [dB], None if the level is unknown.
     """
 
     reference: float
@@ -30,12 +30,12 @@ class SoundLevel(NamedTuple):
 
     @property
     def reference_text(self) -> str:
-        """Reference as words: ``re 20 µPa``."""
+        """Reference pressure as text, such as ``re 20 µPa``."""
         return f"re {1e6 * self.reference:g} µPa"
 
     @property
     def unit(self) -> str:
-        """Unit of the level, with its reference."""
+        """Unit of the level, with the reference pressure."""
         return f"{LEVEL_UNIT} {self.reference_text}"
 
 

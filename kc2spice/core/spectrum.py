@@ -1,4 +1,4 @@
-"""Frequency below which a waveform has nearly all of its energy."""
+"""Frequency below which a waveform has nearly all of its spectral energy."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveform
 
-ENERGY_SHARE = 0.999  # share of the energy of a signal below its highest frequency
+ENERGY_SHARE = 0.999  # share of a signal's energy below the computed frequency
 SIGNAL_SAMPLES = (
     2**16
-)  # number of samples of a signal; a pulse in a train of 13 000 pulses has 5 samples
-LEADING_CORNERS = 400  # number of first corners of a long train that are also sampled separately
-# number of time constants for which the output of a low-pass filter is sampled after the end of the
-# signal
+)  # number of samples of a signal, 5 for each pulse of a train of 13 000 pulses
+FIRST_CORNERS = 400  # number of first corners of a long train that are also sampled separately
+# Time after the end of a signal for which the output of a low-pass filter is sampled, in time
+# constants of the filter.
 DECAY_TIME_CONSTANTS = 20.0
-MIN_SAMPLES = 20  # smallest number of samples within the signal
+MIN_SIGNAL_SAMPLES = 20  # smallest number of samples within the signal
 
 
 def find_energy_frequency(
@@ -24,22 +24,22 @@ def find_energy_frequency(
 ) -> float:
     """Return the frequency [Hz] below which a signal has the ``share`` of its energy.
 
-    The energy refers to ``x(t) - x(0)`` with straight lines between the points, so a constant
-    signal has no energy. A signal that does not end at its initial value is mirrored in time, so
-    that it returns without a jump.
+    The energy is the integral of the squared difference ``x(t) - x(0)``, so a constant signal has
+    no energy. Between the points, the signal x is linear. A signal whose last value differs from
+    its first value is continued by its mirror image in time, so that it ends without a jump.
 
     Parameters
     ----------
-    time : (n,) rising times [s].
-    values : (n,) values there.
+    time : rising times (n,) [s].
+    values : values (n,) of the signal at these times.
     constant : time constant [s] of a first-order low-pass filter through which the signal passes.
-    share : part of the energy, below 1.
+    share : share of the energy, below 1.
     """
     span = time[-1] - time[0]
     if not span > 0 or not np.ptp(values):
         return 0.0
     step = (
-        max(span, min(DECAY_TIME_CONSTANTS * constant, SIGNAL_SAMPLES / MIN_SAMPLES * span))
+        max(span, min(DECAY_TIME_CONSTANTS * constant, SIGNAL_SAMPLES / MIN_SIGNAL_SAMPLES * span))
         / SIGNAL_SAMPLES
     )
     places = np.arange(int(np.ceil(span / step)) + 1)
@@ -49,7 +49,7 @@ def find_energy_frequency(
     spectrum = np.fft.rfft(x, 4 * SIGNAL_SAMPLES)
     f = np.fft.rfftfreq(4 * SIGNAL_SAMPLES, step)
     power = np.abs(spectrum) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
-    power[0] /= 2  # counted once, because all other frequencies also occur at -f
+    power[0] /= 2  # 0 Hz counts once, all other frequencies f also as -f
     risen = np.cumsum(power)
     return float(f[np.searchsorted(risen, share * risen[-1])])
 
@@ -58,10 +58,11 @@ def find_energy_frequency(
 def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
     """Return the frequency [Hz] below which a waveform has nearly all of its energy.
 
-    For a sine, the result is its frequency. Up to ``stop`` [s] is evaluated. An endless train is
-    evaluated over one period, and a long train at its beginning.
+    For a sine, the result is the frequency of the sine. The waveform is evaluated until ``stop``
+    [s]. Only one period of an endless pulse train is evaluated. The first :data:`FIRST_CORNERS`
+    corners of a long train are also evaluated separately.
     """
-    if not wave.straight:
+    if not wave.is_piecewise_linear:
         return wave.frequency
     times, values = map(np.array, zip(*wave.points, strict=True))
     if wave.period is not None:
@@ -70,5 +71,5 @@ def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) 
         times = np.append(times[times < stop], stop)
     times = times[times <= stop]
     values = wave(times)
-    parts = {times.size, min(times.size, LEADING_CORNERS)}
+    parts = {times.size, min(times.size, FIRST_CORNERS)}
     return max(find_energy_frequency(times[:n], values[:n], constant) for n in parts)

@@ -1,8 +1,8 @@
-"""Errors of TOML files: the faulty line, and a correction that the parser accepts.
+"""Errors of TOML files with the faulty line, and a correction that the parser accepts.
 
-The parser reports the position at which it stopped, which is seldom the position of the mistake.
-Each function of this module proposes repaired lines for one kind of mistake.
-:func:`make_toml_error` suggests the first repair with which the parser advances.
+The parser reports the position at which it stopped. This position is seldom the position of the
+mistake. Each function of this module proposes repaired lines for one kind of mistake.
+:func:`make_toml_error` suggests the first repair with which the parser stops at a later position.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from kc2spice.core.untrusted_files import (
     split_lines,
 )
 
-# largest number of lines between an opening bracket and the line at which the parser stops
+# Largest number of lines from an opening bracket to the line at which the parser stops.
 MAX_BRACKET_LINES = 40
-MAX_LINE_LENGTH = 500  # characters of a line that the repairs search
+MAX_LINE_LENGTH = 500  # characters of a line in which mistakes are searched
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
-_OTHER_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key and a wrong sign
-# double and single typographic quotes, each replaced by a double quote
+_WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key, wrong sign
+# Each double or single typographic quote is replaced by a double quote.
 _PLAIN_QUOTES = str.maketrans(
     dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
 )
@@ -37,7 +37,7 @@ _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 @dataclass(frozen=True)
 class _Repair:
-    """Repair of a line: its fault, and the text that replaces the line ``number``."""
+    """Repair of a line: the fault, and the text that replaces the line ``number``."""
 
     problem: str
     number: int
@@ -50,7 +50,7 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
 
     Raises
     ------
-    UsageError : not TOML; the message quotes the line and proposes a correction.
+    UsageError : the text is not TOML; the message quotes the line and proposes a correction.
     """
     try:
         return parse_toml(text)
@@ -64,11 +64,11 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     Parameters
     ----------
     text : content of the file.
-    error : the exception of ``parse_toml``.
+    error : the exception of :func:`kc2spice.core.untrusted_files.parse_toml`.
     label : name of the file.
     """
     number = _find_line_number(text, str(error))
-    if number is None:  # the text is too long or nested too deeply
+    if number is None:  # the error "too long" or "nested too deeply" has no line
         return UsageError(
             "this text is not valid TOML",
             where=label,
@@ -77,8 +77,8 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
             f"characters, and tables and arrays nested at most {MAX_NESTING} deep",
             hint=f"shorten {label} until it is within these limits",
         )
-    # Only a part of long lines is searched, because the time of the patterns grows with the square
-    # of the length.
+    # Only the first part of a long line is searched, because the time of a search grows with the
+    # square of the length.
     lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
     known = _make_duplicate_error(lines, number, str(error), label) or _make_inline_table_error(
@@ -106,13 +106,13 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return the opening brackets and the name of a table header; empty for other lines."""
+    """Return the opening brackets and the name in a table header; empty for other lines."""
     header = _HEADER.fullmatch(line) if len(line) <= MAX_LINE_LENGTH else None
     return ("", "") if header is None else (header[1], header[2].strip())
 
 
 def _quote_line(lines: Sequence[str], number: int) -> str:
-    """Return a line with its number for an error message."""
+    """Return a line of the file with its number, for an error message."""
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
@@ -125,7 +125,7 @@ def _find_error_position(text: str, message: str) -> tuple[float, float]:
 
 
 def _find_line_number(text: str, message: str) -> int | None:
-    """Return the line at which the parser stopped; None if the message contains no line."""
+    """Return the line number in the parser's message; None if the message has none."""
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:
@@ -134,20 +134,20 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the position at which the parser stops with the repaired line."""
+    """Return the position at which the parser stops after a repair of the text."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
         parse_toml(text)
     except ValueError as error:
         line, column = _find_error_position(text, str(error))
-        # a repair shifts the columns of its line
+        # a repair shifts the columns of the repaired line
         return (line, column) if line > repair.number else (0.0, column)
     return math.inf, math.inf
 
 
 def _mask_strings(line: str) -> str:
-    """Mask the contents of strings and the comment of a line; keep its length."""
+    """Mask the strings and the comment of a line without changing the line's length."""
     masked = _STRING.sub(lambda found: '"' + "_" * (len(found[0]) - 2) + '"', line)
     comment = masked.find("#")
     return masked if comment < 0 else masked[:comment] + " " * (len(masked) - comment)
@@ -172,7 +172,7 @@ def _is_value(text: str) -> bool:
 
 
 def _suggest_line(line: str) -> str:
-    """Return a hint that contains the corrected line."""
+    """Return the hint that shows the corrected line."""
     return f"write  {line.strip()}"
 
 
@@ -191,15 +191,16 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_unmatched_quote(line: str) -> str:
-    """Return the unpaired kind of quote, empty if no kind or both kinds are unpaired."""
+    """Return the only kind of quote that is unpaired; empty if none or both are."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
 
 
 def _repair_unmatched_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield repairs of a quote without its counterpart."""
-    # the parser reports the missing end of 'text at the next apostrophe or at the end of the file
+    """Yield repairs of a quote without a matching second quote."""
+    # If the closing quote of 'text is missing, the parser stops at the next apostrophe or at the
+    # end of the file.
     above = (at for at, line in enumerate(lines[:number], start=1) if _find_unmatched_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
@@ -220,7 +221,7 @@ def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
-    # no key at the top of a scene is a list of tables
+    # no key at the top level of a scene is a list of tables
     header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
     yield _Repair("the brackets of a table do not match", number, header, _suggest_line(header))
 
@@ -273,7 +274,7 @@ def _repair_round_brackets(lines: Sequence[str], number: int) -> Iterator[_Repai
 
 
 def _repair_typographic_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield the repair of typographic quotes, which text processors write."""
+    """Yield the repair of typographic quotes, which word processors insert."""
     line = lines[number - 1]
     plain = line.translate(_PLAIN_QUOTES)
     if plain != line:
@@ -284,7 +285,7 @@ def _repair_typographic_quotes(lines: Sequence[str], number: int) -> Iterator[_R
 def _repair_assignment(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Yield the repair of ``==``, ``:=`` or a colon between key and value."""
     line = lines[number - 1]
-    if match := _OTHER_ASSIGNMENT.match(line):
+    if match := _WRONG_ASSIGNMENT.match(line):
         repaired = f"{match[1]} = {line[match.end() :]}"
         problem = f"'{match[2]}' stands between key and value in place of '='"
         yield _Repair(problem, number, repaired, _suggest_line(repaired))
@@ -316,7 +317,7 @@ _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...]
 
 
 def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Make the error of an inline table { } that does not end on its line."""
+    """Make the error of an inline table { } that extends over several lines."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
     if _mask_strings(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
@@ -365,7 +366,7 @@ def _make_duplicate_error(
 def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
     """Find the line above ``number`` with the first occurrence of ``name``.
 
-    The name belongs to a table, or to a key within one table.
+    ``name`` is the name of a table, or of a key within one table.
     """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()

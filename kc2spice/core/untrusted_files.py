@@ -1,13 +1,13 @@
-"""Safe reading of untrusted files: size, names and types are checked before use.
+"""Safe reading of untrusted files: checks of size, names and types before use.
 
-The time of the standard TOML parser grows with the square of the length of a dotted key,
-and calls itself once for every bracket; an archive may unpack to any size. The declared sizes in a
-file are therefore compared with limits before the file is parsed or unpacked.
+The time of the standard TOML parser grows with the square of the length of a dotted key, and the
+parser calls itself for every bracket. An archive may be much larger after unpacking. The sizes that
+a file declares are therefore compared with limits before the file is parsed or unpacked.
 
-Parsers written in C can crash, fill the memory or execute commands in a file. The parsers run in a
-process with its own folder, without output, without permission to start programs, and with a limit
-of memory. The child processes return arrays; any other outcome raises an error in the calling
-process.
+Parsers written in C can crash, fill the memory, or execute commands that a file contains. These
+parsers therefore run in a child process with limited memory and a separate folder, without output
+and without permission to start programs. The child process returns arrays; otherwise the calling
+process raises an error.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ import numpy as np
 from kc2spice.core import errors
 from kc2spice.core.errors import Kc2spiceError, UsageError
 
-# One part of a path. Hidden files, parent directories, shell expansions and line breaks are
-# rejected.
+# Pattern of one part of a path. It rejects hidden files, parent directories, shell expansions and
+# line breaks.
 _PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
-_MAX_ITEM_BYTES = 1_000_000  # bytes of one array element, which may be a number or a text
-# a scene is about one page of text; a larger file is a mistake or an attack
+_MAX_ITEM_BYTES = 1_000_000  # bytes of one array element (number or text)
+# Bytes. A scene is about one page of text; a much larger file is a mistake or an attack.
 MAX_TEXT_BYTES = 1_000_000
 MAX_NESTING = 32  # depth of nested tables and arrays
 LONGEST_KEY = 200  # characters of one part of a key
-# Alternatives in this order: strings and comments, nested values, chained keys.
-_TOKEN = re.compile(
+# Alternatives of the pattern, in this order: strings and comments, brackets, dotted keys.
+_TOML_TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
     r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
     r'|[^"\'#\w\-\[\]{}. \t]+',
     re.DOTALL,
 )
-_BEHIND_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
+_AFTER_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
@@ -64,7 +64,7 @@ def read_bounded(path: Path, limit: int) -> bytes:
     Raises
     ------
     OSError : the file is missing, not regular, too long or unreadable.
-    ValueError : the name has a zero byte.
+    ValueError : the path contains a zero byte.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     handle = os.open(path, flags)
@@ -83,7 +83,7 @@ def read_bounded(path: Path, limit: int) -> bytes:
 def decode_text(data: bytes) -> str:
     """Decode UTF-8 text with or without a byte order mark.
 
-    Anything else raises UnicodeDecodeError.
+    Other encodings raise UnicodeDecodeError.
     """
     return data.decode("utf-8-sig")
 
@@ -91,8 +91,8 @@ def decode_text(data: bytes) -> str:
 def split_lines(text: str) -> list[str]:
     r"""Split a text into lines, which end with ``\n``, ``\r\n`` or ``\r``.
 
-    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029, so that the
-    end of a comment would become a statement.
+    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029. With these
+    line breaks, the second half of a comment would become a statement.
 
     >>> split_lines("* a comment\u2028that goes on\nR1 a b 1k\n")
     ['* a comment\u2028that goes on', 'R1 a b 1k']
@@ -104,8 +104,9 @@ def split_lines(text: str) -> list[str]:
 def explain_unsafe_name(name: str) -> str | None:
     """Explain why ``name`` is unsafe as the name of a file; None for a safe path.
 
-    A name is one or more parts between slashes. Parts are letters, digits and ``_ . + -`` with
-    blanks between them; they begin with a letter, a digit or ``_``.
+    A safe path consists of parts separated by slashes. A part contains letters, digits, blanks and
+    ``_ . + -``. Its first character is a letter, a digit or ``_``, and its last character is no
+    blank.
     """
     if not name:
         return "an empty name"
@@ -122,7 +123,7 @@ def explain_unsafe_name(name: str) -> str | None:
 def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
     """Return the path of the file ``name`` in the folder ``home`` of a scene or below.
 
-    Tables from a Python program have no folder (``Path()``), so the program may name any file.
+    For tables from a Python program, ``home`` is ``Path()``, and any file is accepted.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
     relative = Path(name)
     try:
         outside = not path.resolve().is_relative_to(home.resolve())
-    # the name contains a zero byte, is too long, or links form a circle
+    # a zero byte, a name that is too long, or a circle of links
     except (OSError, ValueError, RuntimeError):
         outside = True
     if relative.is_absolute() or ".." in relative.parts or outside:
@@ -151,16 +152,16 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
 def make_identifier(name: str, otherwise: str) -> str:
     """Replace all characters of ``name`` except letters, digits and ``_``.
 
-    ``otherwise_`` precedes a name that does not begin with a letter.
+    If the first character is not a letter, the result begins with the text ``otherwise`` and ``_``.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
     return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
 
 
 def make_plain_name(name: str) -> str:
-    """Replace unusual characters in the last part of ``name`` for a netlist.
+    """Replace the unusual characters in a file name for use in a netlist.
 
-    Letters, digits and ``_ . + -`` remain.
+    Only the last part of the path is returned. Letters, digits and ``_ . + -`` remain.
     """
     plain = _UNSAFE_CHARACTER.sub("_", name.replace("\\", "/").rpartition("/")[2])
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
@@ -183,9 +184,9 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_simple_syntax(text: str) -> None:
-    """Raise an error for deep brackets, long chains of dots, or long keys."""
+    """Raise an error for deep nesting, keys with many dots, or long keys."""
     depth = dots = 0
-    for token in _TOKEN.finditer(text):
+    for token in _TOML_TOKEN.finditer(text):
         first = token[0][0]
         if first in "[{":
             depth, dots = depth + 1, 0
@@ -195,7 +196,7 @@ def _require_simple_syntax(text: str) -> None:
             dots += 1
         elif not (first in " \t\"'_-" or first.isalnum()):
             dots = 0
-        elif len(token[0]) > LONGEST_KEY and (dots or _BEHIND_KEY.match(text, token.end())):
+        elif len(token[0]) > LONGEST_KEY and (dots or _AFTER_KEY.match(text, token.end())):
             raise ValueError(f"a key has more than {LONGEST_KEY} characters")
         if depth > MAX_NESTING or dots > MAX_NESTING:
             raise ValueError(f"the tables are nested more than {MAX_NESTING} deep")
@@ -204,16 +205,15 @@ def _require_simple_syntax(text: str) -> None:
 def read_archive(
     path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz`` file whose names are accepted by ``select``.
+    """Read those arrays of an ``.npz`` file whose names the function ``select`` accepts.
 
-    Nothing is unpickled.
-
-    Memory is allocated only after every requested member has declared at most ``entries(name)``
-    numbers, all of them at most ``total`` bytes, and no more than the file contains.
+    No object is unpickled. Before the arrays are read, their declared sizes are checked: each array
+    must have at most ``entries(name)`` elements, and no more bytes than its member of the archive.
+    All arrays together must have at most ``total`` bytes.
 
     Raises
     ------
-    ValueError : the file is too large, or a member is not a plain array.
+    ValueError : the arrays are too large, or a member of the archive is not a plain array.
     """
     with zipfile.ZipFile(path) as archive:
         members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
@@ -241,7 +241,7 @@ def read_archive(
 
 
 def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    """Return shape and type from the header of an array."""
+    """Return the shape and the element type from the header of an array."""
     version = np.lib.format.read_magic(stream)
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -255,11 +255,11 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     return shape, kind
 
 
-ANSWER_FILE = "answer.npz"
-REASON_FILE = "reason.json"
-MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, libraries included
-MAX_ANSWER_BYTES = 4_000_000_000  # bytes of the arrays that the child returns
-MAX_ANSWER_ENTRIES = 200_000_000  # entries of one array that the child returns
+RESULT_ARRAYS_FILE = "answer.npz"
+ERROR_FILE = "reason.json"
+MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, including its libraries
+MAX_RESULT_BYTES = 4_000_000_000  # bytes of the arrays that the child returns
+MAX_RESULT_ENTRIES = 200_000_000  # entries of one array that the child returns
 
 
 def call_in_child(
@@ -271,16 +271,16 @@ def call_in_child(
 ) -> dict[str, np.ndarray]:
     """Call ``function`` (``"package.module:name"``) in a separate process.
 
-    The function gets the keywords ``request`` (JSON), and its arrays are returned. The function
-    runs with a new folder as its working directory, in which ``prepare`` may put files first, and
-    ends with this process.
+    The arguments of the function are the keywords in ``request``, as JSON. The function returns a
+    mapping of arrays. The working directory of the child process is a new folder, into which
+    ``prepare`` may write files first. The child process ends when the calling process ends.
 
     Raises
     ------
-    Kc2spiceError : the function raised one.
-    NotImplementedError : the function raised it.
-    ValueError : the function raised another error, crashed, or needed more than ``memory`` bytes or
-        ``seconds`` of the processor (0: any number).
+    Kc2spiceError : the function raised this error.
+    NotImplementedError : the function raised this error.
+    ValueError : the function raised another error, crashed, or exceeded ``memory`` bytes or
+        ``seconds`` of processor time (0: no limit).
     """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))
@@ -300,23 +300,23 @@ def call_in_child(
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(json.dumps(dict(request)).encode() + b"\n")
-                process.stdin.flush()  # stays open, because the child ends when this pipe closes
+                process.stdin.flush()  # the child process ends when this pipe closes
             code = process.wait()
         if code != 0:
-            raise _explain_exit(folder / REASON_FILE, code, memory)
+            raise _explain_exit(folder / ERROR_FILE, code, memory)
         try:
             return read_archive(
-                folder / ANSWER_FILE,
+                folder / RESULT_ARRAYS_FILE,
                 lambda _: True,
-                entries=lambda _: MAX_ANSWER_ENTRIES,
-                total=MAX_ANSWER_BYTES,
+                entries=lambda _: MAX_RESULT_ENTRIES,
+                total=MAX_RESULT_BYTES,
             )
         except (OSError, BadZipFile) as error:
             raise ValueError(f"the output of the reader cannot be read: {error}") from None
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:
-    """Return the exception that describes how the child process ended."""
+    """Return the exception that describes the failure of the child process."""
     try:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -332,7 +332,7 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
 
 
 def _run_in_child(function: str, memory: str, seconds: str) -> None:
-    """Call the function in the child process and write its answer."""
+    """Call the function in the child process, and write its arrays or its error to a file."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)
@@ -344,18 +344,18 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         module, _, name = function.partition(":")
         call = getattr(import_module(module), name)
         _limit_resources(int(memory), int(seconds))
-        np.savez(ANSWER_FILE, **call(**json.loads(line)))
-    except Exception as error:  # a damaged file causes nearly any exception in a parser
+        np.savez(RESULT_ARRAYS_FILE, **call(**json.loads(line)))
+    except Exception as error:  # a parser may raise any exception for a damaged file
         text = " ".join(str(error).split())[:300] or type(error).__name__
         attributes = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
         record = (type(error).__name__, attributes)
-        Path(REASON_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
+        Path(ERROR_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
-    os._exit(0)  # skips the destructors of libraries
+    os._exit(0)  # without the destructors of libraries
 
 
 def _end_with_parent() -> None:
-    """End this process when the pipe from its parent closes."""
+    """End this process when the pipe from the parent process closes."""
     while os.read(0, 1 << 16):
         pass
     os._exit(1)
@@ -363,7 +363,7 @@ def _end_with_parent() -> None:
 
 def _limit_resources(memory: int, seconds: int) -> None:
     """Limit the memory and the processor time of this process."""
-    with contextlib.suppress(ImportError):  # POSIX systems only
+    with contextlib.suppress(ImportError):  # exists on POSIX systems only
         import resource
 
         limits = {"RLIMIT_AS": memory, "RLIMIT_NPROC": 0, "RLIMIT_CORE": 0}

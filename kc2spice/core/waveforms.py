@@ -1,6 +1,6 @@
-"""Waveforms of sources and of results, for netlists, reference solver and checks.
+"""Waveforms of sources and of results.
 
-Netlist, reference and checks use one definition.
+Netlists, the reference solver and the checks use the same definition of a source's waveform.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-# pulses of a finite train; its corners are as many as the rows of the largest waveform file
+# Largest number of pulses of a finite train. Its corners are as many as the rows of the largest
+# waveform file.
 MAX_PULSES = 25_000
 
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """Arrays of results in SI units over one scale, named as in ``waveforms.npz``.
+    """Arrays of results over one scale, in SI units, with the names in ``waveforms.npz``.
 
-    The scale is ``time`` or ``frequency``.
+    The scale is ``time``, ``frequency`` or the swept value.
 
     ``stats`` are statistics of the simulator: ``accepted`` and ``rejected`` time points,
     ``iterations``, ``cpu_s``.
@@ -61,10 +62,10 @@ SCALES = {"time": "s", "frequency": "Hz"}  # units
 
 
 def quote_csv_cell(text: str) -> str:
-    """Quote a text as a CSV cell that no spreadsheet evaluates as a formula.
+    """Return a text as a CSV cell that no spreadsheet evaluates as a formula.
 
     Spreadsheets evaluate cells that begin with ``=``, ``+``, ``-``, ``@``, a tab or a carriage
-    return (OWASP, CSV injection); an apostrophe in front makes them text.
+    return (OWASP, CSV injection). An apostrophe before this character prevents the evaluation.
 
     >>> quote_csv_cell("=1+1")
     "'=1+1"
@@ -89,9 +90,9 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
 
 
 def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield titles and columns of one array.
+    """Yield title and values of each CSV column of one array.
 
-    A complex array has a real and an imaginary part.
+    A complex array has a column for the real part and a column for the imaginary part.
     """
     if np.iscomplexobj(values):
         yield f"{name} real", values.real
@@ -100,7 +101,7 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
         yield (f"{name} [{unit}]" if unit else name), values
 
 
-def integrate_running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the running trapezoidal integral (..., n) of ``values`` over ``over``.
 
     The integral is zero at the first point.
@@ -113,10 +114,8 @@ def integrate_running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the derivative (n,) of ``values`` (n,) with respect to ``over`` (n,).
 
-    Points of ``over`` may be equal.
-
-    The derivative is the derivative of the parabola through three points, which is accurate to
-    second order in their distance.
+    The result is the derivative of the parabola through three neighbouring points. Its error is
+    proportional to the square of their distance. Values of ``over`` may be repeated.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -126,20 +125,20 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` (n,) linearly at the points ``at``; ``scale`` (n,) is monotonic."""
+    """Interpolate ``values`` (n,) over a monotonic ``scale`` (n,) linearly at ``at``."""
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
 
 
-FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its edge
-# s, longer than any run; newer versions of ngspice repeat a pulse without a period
+FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its rise time
+# s, longer than any run. Newer versions of ngspice repeat a pulse that has no period.
 ENDLESS_PERIOD = 1e4
 
 
 class PulseKeys(Section):
-    """Pulse from ``low`` to ``high``, which begins at ``start``.
+    """Keys of a pulse from ``low`` to ``high`` that begins at ``start``.
 
-    The rise and the fall take ``edge`` each. ``width`` is the width at half height.
+    ``edge`` is the rise time and the fall time. ``width`` is the width of the pulse at half height.
     """
 
     high: float | str = Field(1.0, description="Value of the pulse, in the unit of the source")
@@ -156,7 +155,7 @@ class PulseKeys(Section):
 
 
 class SineKeys(Section):
-    """Sine ``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
+    """Keys of a sine ``amplitude sin(2 pi frequency (t - start))``, zero before ``start``."""
 
     amplitude: float | str = Field(
         1.0, description="Amplitude of the sine, in the unit of the source"
@@ -167,15 +166,14 @@ class SineKeys(Section):
 
 @dataclass(frozen=True)
 class Waveform:
-    """Function of time in SI units: straight lines, or a sine from ``start`` on.
+    """Function of time in SI units: linear between points, or a sine from ``start`` on.
 
-    A sine has a ``frequency``.
+    A waveform with a ``frequency`` is a sine. Otherwise ``points`` (n, 2) are times [s] and values,
+    and the waveform is constant before the first point and after the last point. If ``period`` [s]
+    is given, the waveform from the first point on is repeated. A netlist contains a ``PULSE`` if
+    possible.
 
-    ``points`` (n, 2) are times [s] and values. The wave is constant before the first and after the
-    last point. With a ``period`` [s] the part from the first point on repeats, written as a
-    ``PULSE`` if possible.
-
-    Raises UsageError unless times increase strictly (edges take time).
+    Raises UsageError unless the times increase strictly: an edge must have a duration.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -196,14 +194,14 @@ class Waveform:
             )
 
     @property
-    def straight(self) -> bool:
-        """Whether the waveform is straight between its corners."""
+    def is_piecewise_linear(self) -> bool:
+        """Whether the waveform is linear between its corners."""
         return not self.frequency
 
     @property
-    def pace(self) -> float:
-        """Largest time step [s] that cannot miss two zeros of a guard."""
-        return np.inf if self.straight else 0.05 / self.frequency
+    def step_limit(self) -> float:
+        """Largest time step [s] within which a guard cannot have two unnoticed zeros."""
+        return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
     @cached_property
     def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
@@ -212,13 +210,13 @@ class Waveform:
         return times, values
 
     @cached_property
-    def _line_slopes(self) -> np.ndarray:
-        """Slopes before the first corner, between corners, and after the last corner."""
+    def _slopes_between_corners(self) -> np.ndarray:
+        """Time derivatives before the first corner, between corners, after the last corner."""
         times, values = self._corner_points
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
     def _fold_time(self, t: Any) -> np.ndarray:
-        """Map instants to the first period."""
+        """Return the instants of the first period with the same values as ``t``."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
             return t
@@ -226,27 +224,30 @@ class Waveform:
 
     def __call__(self, t: Any) -> Any:
         """Return the values at ``t`` [s]."""
-        if self.straight:
+        if self.is_piecewise_linear:
             return np.interp(self._fold_time(t), *self._corner_points)
         return self._evaluate_sine(t, t, 0)
 
     def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
-        """Return the sine or its derivative of ``order``."""
+        """Return the derivative of this ``order`` of the sine; order 0 is the sine."""
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Compute time derivatives at ``t`` on the smooth pieces that contain ``within``."""
-        if not self.straight:
+        """Compute the time derivative of this ``order`` at ``t``.
+
+        At a corner, the derivative jumps: the instants ``within`` select the smooth piece.
+        """
+        if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)
         piece = np.searchsorted(self._corner_points[0], self._fold_time(within))
-        return self._line_slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
+        return self._slopes_between_corners[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
         """List times [s] and values of all points in all periods.
 
-        The periods begin before ``stop``.
+        The result contains all periods that begin before ``stop``.
         """
         times, values = self._corner_points
         if self.period is not None:
@@ -257,16 +258,16 @@ class Waveform:
 
     def corners(self, stop: float) -> np.ndarray:
         """List times [s] up to ``stop`` at which the derivative jumps."""
-        result = self.knots(stop)[0] if self.straight else np.array([self.start])
+        result = self.knots(stop)[0] if self.is_piecewise_linear else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def format_spice(self, scale: float = 1.0) -> str:
-        """Format the value of an independent source in SPICE syntax, times ``scale``.
+        """Format the waveform times ``scale`` as the value of a source in SPICE syntax.
 
-        A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
-        "until the end".
+        A pulse whose flat top has no duration is written as corners, because ngspice continues a
+        ``PULSE`` of zero width until the end.
         """
-        if not self.straight:
+        if not self.is_piecewise_linear:
             numbers = (0.0, scale * self.amplitude, self.frequency, self.start)
             return f"SIN({' '.join(map(_format_number, numbers))})"
         if len(self.points) == 1:
@@ -285,7 +286,7 @@ class Waveform:
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
             rise = _format_difference(t0, t1)
-            top = FLAT_TOP_RATIO * rise  # ngspice treats a width of zero as "until the end"
+            top = FLAT_TOP_RATIO * rise  # a width of zero would last until the end
             fall = _format_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
             rise, fall, top = (
@@ -311,7 +312,7 @@ def sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Wav
 
 
 def linear_waveform(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
-    """Make a waveform of straight lines through ``points`` (n, 2)."""
+    """Make a piecewise linear waveform through ``points`` (n, 2)."""
     return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
@@ -324,13 +325,13 @@ def pulse_waveform(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Make one trapezoidal pulse, ``count`` pulses, or an endless train.
+    """Make one trapezoidal pulse, a train of ``count`` pulses, or an endless train.
 
-    ``width`` is the width at half height.
+    ``width`` is the width of a pulse at half height.
 
     Raises
     ------
-    UsageError : the count has no period, or is too large for a netlist.
+    UsageError : a count without a period, or a count that is too large for a netlist.
     """
     if count is not None and period is None:
         hint = "add the key period, or delete count"
@@ -356,23 +357,23 @@ def pulse_waveform(
 
 @dataclass(frozen=True, eq=False)
 class RecordedWave(EqualByContent):
-    """Smooth curve through the values ``values`` at ``times`` (n,), constant outside.
+    """Smooth curve through ``values`` (n,) at ``times`` (n,), constant before and after.
 
-    The curve consists of cubics (Akima, J. ACM 17, 589, 1970).
+    The curve consists of cubic polynomials (Akima, J. ACM 17, 589, 1970).
 
-    Every 16th sample is a corner: no step of an integrator is longer than 16 samples, so that it
-    cannot miss an event after a long rest.
+    Every 16th sample is a corner, so no step of an integrator is longer than 16 samples. Without
+    this limit, an integrator could miss an event after a long rest.
     """
 
     times: np.ndarray
     values: np.ndarray
-    straight = False
-    pace = np.inf
+    is_piecewise_linear = False
+    step_limit = np.inf
 
     @cached_property
     def _curve(self) -> Any:
         """Interpolating spline of the values."""
-        # imported here, because scipy takes long to load
+        # imported here, because the import of scipy takes long
         from scipy.interpolate import Akima1DInterpolator
 
         return Akima1DInterpolator(self.times, self.values)
@@ -382,11 +383,11 @@ class RecordedWave(EqualByContent):
         return self.rate(t, t, 0)
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Return the derivative of ``order``."""
+        """Return the derivative of this ``order`` at ``t``."""
         return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
 
     def corners(self, stop: float) -> np.ndarray:
-        """List the corners [s] up to ``stop``."""
+        """List the corners [s] up to the time ``stop``."""
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
 
@@ -395,7 +396,7 @@ Function = Waveform | RecordedWave
 
 
 def _format_difference(first: float, last: float) -> float:
-    """Compute ``last - first`` with the fewest digits within the rounding error."""
+    """Compute ``last - first``, rounded to the fewest digits within the rounding error."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
@@ -403,7 +404,7 @@ def _format_difference(first: float, last: float) -> float:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with 15 digits if this changes only the rounding of a sum."""
+    """Format a number with 15 digits if this changes the number only by rounding."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
 
@@ -418,7 +419,7 @@ def write_record(
 
 
 def _convert_to_json_types(value: Any) -> Any:
-    """Convert a value to types of JSON."""
+    """Convert a value to types that JSON has."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None

@@ -1,6 +1,7 @@
-"""Large results in memory; :mod:`kc2spice.core.cache` stores results on disk.
+"""Store of large results in memory; :mod:`kc2spice.core.cache` stores results on disk.
 
-A scene, a build and a sweep have one :class:`Workspace` each, so that no module holds results.
+A scene, a build and a sweep have one :class:`Workspace` each. No module has global variables with
+results.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Most recent result of each kind, with the key of its inputs.
+    """Store of the latest result of each kind, with the key of the result's inputs.
 
-    Threads may share a workspace: a thread never gets the result of another key.
+    Threads may share a workspace. A thread never receives a result with another key.
 
     Examples
     --------
@@ -33,7 +34,8 @@ class Workspace:
     def get_or_compute(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
         """Return the stored result of ``key``, or compute it if the key has changed.
 
-        The previous result is deleted first, because two results would need twice the memory.
+        The previous result is deleted before the computation, because two results would need twice
+        the memory.
         """
         entry = self._entries.get(kind)
         if entry is None or entry[0] != key:
@@ -44,5 +46,5 @@ class Workspace:
         return result
 
     def __reduce__(self) -> tuple[type[Workspace], tuple[()]]:
-        """Return an empty workspace for pickling: another process begins without results."""
+        """Return an empty workspace, because an unpickled workspace has no results."""
         return Workspace, ()

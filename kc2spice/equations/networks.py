@@ -17,8 +17,8 @@ from kc2spice.core.laws import (
     IdealSource,
     Law,
     PortBody,
-    Reading,
     SecondOrderBody,
+    WaveCombination,
     sensor_block,
 )
 
@@ -30,13 +30,13 @@ NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 class Network:
     """Laws that are joined directly or through other laws.
 
-    ``joins`` are the pins of each net, by its name; ``readings`` map results to waves of the laws;
+    ``joins`` are the pins of each net, by its name; ``results`` map results to waves of the laws;
     ``sweeps`` map ``(part, key)`` to a source and its value per SI unit of the key.
     """
 
     laws: tuple[Law, ...]
     joins: Mapping[str, tuple[str, ...]]
-    readings: Mapping[str, Reading]
+    results: Mapping[str, WaveCombination]
     sweeps: Mapping[tuple[str, str], tuple[str, float]]
 
     @property
@@ -59,25 +59,25 @@ class Network:
 
     def select(self, names: set[str]) -> Network:
         """Return the network of the laws with these names."""
-        joins, readings, sweeps = dict[str, tuple[str, ...]](), {}, {}
+        joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
             within = tuple(pin for pin in pins if law_of(pin) in names)
             if within:
                 joins[net] = within
-        for name, item in self.readings.items():
+        for name, item in self.results.items():
             if law_of(item.waves[0]) in names:
-                readings[name] = item
+                results[name] = item
         for key, source in self.sweeps.items():
             if source[0] in names:
                 sweeps[key] = source
         laws = tuple(law for law in self.laws if law.name in names)
-        return Network(laws, joins, readings, sweeps)
+        return Network(laws, joins, results, sweeps)
 
 
 def split_networks(
     laws: Sequence[Law],
     joins: Mapping[str, tuple[str, ...]],
-    readings: Mapping[str, Reading],
+    results: Mapping[str, WaveCombination],
     sweeps: Mapping[tuple[str, str], tuple[str, float]],
 ) -> tuple[Network, ...]:
     """Return the networks of ``laws`` that have no net in common, apart from ground."""
@@ -86,7 +86,7 @@ def split_networks(
     for net, pins in joins.items():
         if net != GROUND:
             groups.append(set(map(law_of, pins)))
-    scene = Network(tuple(laws), joins, readings, sweeps)
+    scene = Network(tuple(laws), joins, results, sweeps)
     return tuple(map(scene.select, merge_groups(groups)))
 
 
@@ -134,8 +134,8 @@ def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
     name, _, end = pin.partition(".")
     law = laws[name]
     if isinstance(law, IdealSource):
-        return end == "out" and not law.flows
-    return isinstance(law, Device) and end in law.prescribes
+        return end == "out" and not law.prescribes_flow
+    return isinstance(law, Device) and end in law.prescribed_signals
 
 
 def merge_groups(groups: Iterable[set[str]]) -> list[set[str]]:

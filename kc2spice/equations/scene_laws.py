@@ -20,8 +20,8 @@ from kc2spice.core.laws import (
     IdealSource,
     Law,
     MissingEquations,
-    Reading,
     SecondOrderBody,
+    WaveCombination,
 )
 from kc2spice.equations.networks import (
     Network,
@@ -135,14 +135,14 @@ class SceneLaws:
 
     def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
         """Return the networks with further ``sources``, keyed by net."""
-        readings: dict[str, Reading] = {}
+        results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
-            readings |= _add_quantity_names(name, item.results)
+            results |= _add_quantity_names(name, item.results)
             for key, source in item.sweeps.items():
                 sweeps[name, key] = source
         laws = [*self.laws.values(), *sources.values()]
-        return split_networks(laws, self.joins(sources), readings, sweeps)
+        return split_networks(laws, self.joins(sources), results, sweeps)
 
     def joins(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
         """Return the pins of laws on each net, with ``sources`` on nets of the scene.
@@ -179,7 +179,9 @@ class SceneLaws:
         return frozenset(link.part for link in drivers if link.net in loaded)
 
 
-def _add_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
+def _add_quantity_names(
+    part: str, results: Mapping[str, WaveCombination]
+) -> dict[str, WaveCombination]:
     """Return the results of a part, with a second name ``r.current`` for ``r.i``."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():

@@ -11,9 +11,9 @@ from pydantic import Field, model_validator
 from kc2spice.core.quantities import (
     Count,
     Frequency,
-    Notch,
     Rate,
     Ratio,
+    RefinementRule,
     Section,
     invalid_value_error,
 )
@@ -22,7 +22,7 @@ from kc2spice.core.quantities import (
 class Mesh(Section):
     """Keys of a mesh; ``refine`` divides every cell along each axis."""
 
-    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+    refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor that multiplies the number of cells along each edge"
     )
 

@@ -9,7 +9,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Count, FluxDensity, Length, Notch, Ratio, Resistivity, Section
+from kc2spice.core.quantities import (
+    Count,
+    FluxDensity,
+    Length,
+    Ratio,
+    RefinementRule,
+    Resistivity,
+    Section,
+)
 
 
 class Ring(Section):
@@ -52,10 +60,10 @@ class Catch(Section):
             "nominal position"
         ),
     )
-    positions: Annotated[Count, Notch(2.0, spaces=True, model=True)] = Field(
+    positions: Annotated[Count, RefinementRule(2.0, spaces=True, model=True)] = Field(
         41, ge=4, le=2001, description="Number of heights at which the magnetic field is computed"
     )
-    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
+    points: Annotated[Count, RefinementRule(2.0, spaces=True)] = Field(
         201, ge=21, le=2001, description="Number of points of the force table in the netlist"
     )
     refine: Count = Field(

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.core.extras import LIBRARIES
+from kc2spice.core.extras import OPTIONAL_LIBRARIES
 
 # Matrix types of PARDISO, which reads the upper triangle of symmetric matrices; the key is whether
 # the matrix is complex.
@@ -182,4 +182,4 @@ def _load_library() -> ctypes.CDLL:
             return ctypes.CDLL(path)
         except OSError as error:
             problem, got = "PARDISO cannot be loaded", str(error)
-    raise MissingToolError(problem, where="solver", got=got, hint=LIBRARIES["mkl"].install)
+    raise MissingToolError(problem, where="solver", got=got, hint=OPTIONAL_LIBRARIES["mkl"].install)

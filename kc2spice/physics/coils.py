@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, Piecewise
+from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, PiecewisePolynomial
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute_names
@@ -161,7 +161,7 @@ def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
     return result
 
 
-def _evaluate_column(functions: Piecewise, k: int, y: np.ndarray) -> np.ndarray:
+def _evaluate_column(functions: PiecewisePolynomial, k: int, y: np.ndarray) -> np.ndarray:
     return functions(y)[..., k]
 
 

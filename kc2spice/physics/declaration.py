@@ -79,7 +79,7 @@ COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
     if domain.power == "across * through"
-    or (side == "across" and (domain.position or domain.potential))
+    or (side == "across" and (domain.has_position or domain.has_potential))
 )
 
 
@@ -112,7 +112,7 @@ class Branch:
     @property
     def moves(self) -> bool:
         """Whether the coordinate of the branch is a position, such as a displacement."""
-        return self.domain.position and not self.flows
+        return self.domain.has_position and not self.flows
 
     @property
     def rate(self) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.laws import Device, Flow, LawPin, Tap
+from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
 # J/K and C, constants of ngspice (include/ngspice/const.h; CODATA 2014). With the exact constants
@@ -97,10 +97,10 @@ class Junction(Device):
         return "inner" if self.series_resistance else "anode"
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Voltages of the junction and of the resistance."""
-        junction = Tap(self._plus, "cathode")
-        return (junction, Tap("anode", "inner")) if self.series_resistance else (junction,)
+        junction = AcrossInput(self._plus, "cathode")
+        return (junction, AcrossInput("anode", "inner")) if self.series_resistance else (junction,)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -218,7 +218,7 @@ class Junction(Device):
         powers[0] = abs(out[0]) / (2.0 * THERMAL_VOLTAGE)
         return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
 
-    def limit(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
+    def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Limit the voltage of the junction, forward and in breakdown."""
         v, before = float(e[0]), float(last[0])
         start, scale, critical = self._breakdown_start, self._scale, self._critical_voltage

@@ -12,7 +12,7 @@ import numpy as np
 
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, Flow, LawPin, Tap
+from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.naming import names_of
 from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
@@ -73,7 +73,7 @@ class DeclaredLaw(Device):
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
             if b.less:
                 result.setdefault(b.less, LawPin(b.less, kinds[b.less]))
-        for name in self.prescribes:
+        for name in self.prescribed_signals:
             result[name] = LawPin(name, "signal")
         return tuple(result.values())
 
@@ -85,20 +85,20 @@ class DeclaredLaw(Device):
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
-    def prescribes(self) -> tuple[str, ...]:
+    def prescribed_signals(self) -> tuple[str, ...]:
         """Return the pins whose value the law prescribes."""
         return tuple(self.declaration.outputs)
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Return the quantities across the pins that are inputs."""
         d = self.declaration
-        rates = map(partial(self._tap, rate=True), d.branches_with_rate)
-        return (*map(self._tap, d.branches), *rates)
+        rates = map(partial(self._across_input, rate=True), d.branches_with_rate)
+        return (*map(self._across_input, d.branches), *rates)
 
-    def _tap(self, b: Branch, rate: bool = False) -> Tap:
+    def _across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
         """Return the input of a branch."""
-        return Tap(b.plus, self._lower_pin(b), rate, b.less)
+        return AcrossInput(b.plus, self._lower_pin(b), rate, b.less)
 
     @cached_property
     def _pin_kinds(self) -> dict[str, str]:
@@ -299,7 +299,7 @@ class DeclaredLaw(Device):
             np.array(mode) > 0, 1.0, -1.0
         )
 
-    def switch(self, mode: Any, guard: int) -> tuple[int, ...]:
+    def next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
         """Return the mode after a guard fell to zero."""
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
@@ -313,13 +313,13 @@ class DeclaredLaw(Device):
         """A force, a current, or a voltage in series with every loss."""
         branches, currents = self.declaration.acting_branches, self._through_branches
         root = np.sqrt(self._evaluate(self._loss_function, e, mode))
-        rows = len(branches) + len(self.states) + len(self.prescribes)
+        rows = len(branches) + len(self.states) + len(self.prescribed_signals)
         out = np.zeros((rows, len(branches)))
         for k, b in enumerate(branches):
             out[len(branches) + currents.index(b) if b in currents else k, k] = root[k]
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
-    def check(self, t: float, e: np.ndarray) -> None:
+    def require_in_range(self, t: float, e: np.ndarray) -> None:
         """Raise an error if a limit of the declaration is violated."""
         result = self._evaluate(self._limit_function, e, self.mode(e))
         for what, value in zip(self.declaration.limit_trees, result, strict=True):

@@ -39,10 +39,10 @@ class LossHeat(laws.Device):
         return (*rates, *ends)
 
     @property
-    def taps(self) -> tuple[laws.Tap, ...]:
+    def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
         """Rates of the pins, and the temperature of the heat pin."""
-        rates = (laws.Tap(pin, rate=True) for pin in self.rate_pins)
-        return (*rates, laws.Tap(HEAT, AMBIENT))
+        rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
+        return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 
     @property
     def flows(self) -> tuple[laws.Flow, ...]:

@@ -12,7 +12,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import HEAT, HEAT_PINS, SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
@@ -134,9 +134,9 @@ class DeclaredPart(PartType[KeysT]):
         values = d.values(part.keys)
         stiff, flowing = [], []
         for b in d.branches:
-            if b.domain.path and b.flows:
+            if b.domain.path_to_reference and b.flows:
                 flowing.append((b.plus, b.minus))
-            elif b.domain.path:
+            elif b.domain.path_to_reference:
                 # all other variables are set to rest first, because a short sum has a short
                 # derivative
                 slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
@@ -481,7 +481,7 @@ def balance_energy(
             forces.append((pins, np.diff(recorded[b.name])))
             continue
         increase = np.diff(evaluate_over_time(d.stored_quantity(b))) + np.diff(
-            integrate_running(evaluate_over_time(d.direct_flow(b)), time)
+            integrate_cumulatively(evaluate_over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrate_steps(pins, time, increase)

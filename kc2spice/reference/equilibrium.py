@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import Device, LawPin, Tap
+from kc2spice.core.laws import AcrossInput, Device, LawPin
 from kc2spice.core.waveforms import constant_waveform
 from kc2spice.reference.system import PlacedDevice, System
 
@@ -145,9 +145,9 @@ class _Tangent(Device):
         return self.law.pins
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Inputs of the law."""
-        return self.law.taps
+        return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the tangent of the outputs, and its slopes."""
@@ -164,9 +164,9 @@ class _Tangent(Device):
 class Tangents:
     """Tangents of the laws that limit the steps of Newton's method.
 
-    Newton's method linearises all laws at the last iterate. A law with :meth:`Device.limit` is
-    linearised at inputs nearer to the last ones, as in SPICE. ``points`` are the last inputs of
-    each of these laws.
+    Newton's method linearises all laws at the last iterate. A law with the method
+    :meth:`Device.limit_change` is linearised at inputs nearer to the last inputs, as in SPICE.
+    ``points`` are the last inputs of each of these laws.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
@@ -176,9 +176,9 @@ class Tangents:
         X, curved, limited = interval.with_sources(t, z), [], False
         for device, mode in interval.curved:
             now = device
-            if type(device.law).limit is not Device.limit:
+            if type(device.law).limit_change is not Device.limit_change:
                 e = device.inputs @ X
-                point = device.law.limit(e, self.points.get(device, e))
+                point = device.law.limit_change(e, self.points.get(device, e))
                 self.points[device] = point
                 if np.any(point != e):
                     now, limited = replace(device, law=_Tangent(device.law, point)), True

@@ -209,7 +209,7 @@ class _StepIntegrator:
         )
         es = self.interval(t + self.h).inputs(t + self.h, last)
         for k, law in self.others:
-            law.check(t + self.h, es[k])
+            law.require_in_range(t + self.h, es[k])
         return last
 
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
@@ -246,7 +246,7 @@ class _StepIntegrator:
             if guards.size and guards.min() < -GUARD_ROUNDING:
                 changed = True
                 if count >= SINGLE_SWITCH_ITERATION:
-                    self.modes[k] = law.switch(self.modes[k], int(guards.argmin()))
+                    self.modes[k] = law.next_mode(self.modes[k], int(guards.argmin()))
                     break
                 self.modes[k] = law.mode(es[k])
         return changed

@@ -418,7 +418,7 @@ def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
     item = zip(system.devices, modes, strict=True)
     counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
-    now = system.devices[k].law.switch(modes[k], fired - sum(counts[:k]))
+    now = system.devices[k].law.next_mode(modes[k], fired - sum(counts[:k]))
     return [*modes[:k], now, *modes[k + 1 :]]
 
 
@@ -437,11 +437,12 @@ def _integrate_interval(
     z = interval.solve_algebraic(t, z)
     before = interval.guards(t, z)
     solver = Radau(interval, t, z, rtol)
-    pace = min(map(attrgetter("wave.pace"), interval.system.sources), default=np.inf)
+    limits = (source.wave.step_limit for source in interval.system.sources)
+    limit = min(limits, default=np.inf)
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):
-        step, h_next = solver.advance(min(h or solver.choose_first_step(end), pace), end)
+        step, h_next = solver.advance(min(h or solver.choose_first_step(end), limit), end)
         after = interval.guards(step.end, step.last)
         wrong = np.flatnonzero((before < 0.0) & (after < before))
         if wrong.size:
@@ -450,7 +451,7 @@ def _integrate_interval(
         step, fired = _locate_zero(interval, solver, step, fell) if fell.size else (step, None)
         inputs = interval.inputs(step.end, step.last)
         for device, e in zip(interval.system.devices, inputs, strict=True):
-            device.law.check(step.end, e)
+            device.law.require_in_range(step.end, e)
         steps.append(step)
         if fired is not None:
             return steps, fired
@@ -508,8 +509,8 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
-        if not source.signal:
-            name, what = source.name, ".rate" if source.domain.position else ""
+        if not source.sets_signal:
+            name, what = source.name, ".rate" if source.domain.has_position else ""
             across = waves[f"{name}.out{what}"] - waves[f"{name}.ret{what}"]
             came.append(float(-waves[f"{name}.out.through"] * across @ w))
     if system.dissipated.any():

@@ -135,13 +135,13 @@ class LinearisedSystem:
         n = self.system.size
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
-    def output_rows(self, of: L.Reading) -> tuple[np.ndarray, np.ndarray]:
+    def output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows (N,) of ``C0`` and ``C1`` that give the reading ``of``."""
         names = self.system.names
         rows = of.combine(dict(zip(names, self.C0, strict=True)))
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
-    def zeros(self, of: L.Reading, amplitudes: np.ndarray) -> np.ndarray:
+    def zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
         """Compute rates ``w`` (m,) [1/s] at which a reading is zero.
 
         The sources are ``amplitudes e^(w t)``, and the rates are complex.
@@ -215,7 +215,7 @@ class LinearisedSystem:
         for k, wave in enumerate(waves):
             if not isinstance(wave, Waveform) or wave.start < 0:
                 return None
-            if wave.straight:
+            if wave.is_piecewise_linear:
                 lines += _find_kinks(k, wave, stop)
             elif wave.amplitude:
                 sines.append((k, wave))
@@ -356,7 +356,7 @@ class ExponentialSolution:
         moved = poles if rates is None else rates(poles)
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
         for k, wave in enumerate(self.waves):
-            if wave.straight:
+            if wave.is_piecewise_linear:
                 y += np.outer(wave(t) - wave(0.0), self.still[k][outputs])
                 y += np.outer(wave.rate(t, t), self.drift[k][outputs])
         unit = np.eye(len(self.waves))
@@ -426,7 +426,7 @@ class ExponentialSolution:
 
 
 def solve_noise(
-    laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
+    laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
     """Compute the spectral density (nf,) of a reading at frequencies ``f`` [Hz].
 
@@ -444,7 +444,7 @@ def solve_noise(
     return np.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * np.array(power))
 
 
-def _noise_power(at: LinearisedSystem, of: L.Reading, s: complex) -> float:
+def _noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
     """Sum the densities from all sources of unit density by the adjoint circuit."""
     system = at.system
     n, k = system.size, len(system.sources)

@@ -372,7 +372,7 @@ class _Assembly:
         F[:, size : size + len(self.sources)] += W.T @ self.S
         devices, differential = [], np.abs(M).max(axis=0) > 0.0
         first = 0
-        for law, taps, into in (*self.attached, *self.linear):
+        for law, inputs, into in (*self.attached, *self.linear):
             where = self.states(law)
             small, stores = where - n + size, None
             if law.has_stored_quantities:
@@ -381,7 +381,7 @@ class _Assembly:
                 if not law.linear:
                     differential[small] = True
                     differential |= (storing[:, small.size :].T @ T).any(axis=0)
-            devices.append(PlacedDevice(law, taps @ expansion, W.T @ into, stores, small, first))
+            devices.append(PlacedDevice(law, inputs @ expansion, W.T @ into, stores, small, first))
             first += 0 if law.linear else into.shape[1]
         devices, linear = (devices[: len(self.attached)], devices[len(self.attached) :])
         return System(
@@ -425,7 +425,7 @@ class _Assembly:
             law, units = device.law, np.eye(outputs)[device.first :]
             for flow, one in zip(law.flows, units, strict=False):
                 rows[f"{law.name}.{flow.pin}.through"] = (0.0, 0.0, one, 0.0)
-            for state, row in zip(law.states, device.inputs[len(law.taps) :], strict=True):
+            for state, row in zip(law.states, device.inputs[len(law.across_inputs) :], strict=True):
                 rows[f"{law.name}.{state}"] = (row, 0.0, 0.0, 0.0)
         forms = np.array([*map(itemgetter(0), self.constraints)]).reshape(-1, self.size)
         drives = np.array([*map(itemgetter(1), self.constraints)]).reshape(len(forms), sources)
@@ -442,7 +442,7 @@ class _Assembly:
                 by[constrained] = solve[forced[0]]
                 rated = -by @ self.M @ expansion
                 rows[name] = (by @ acting, rated, by @ raw, float(by @ self.const))
-            elif source.flows:
+            elif source.prescribes_flow:
                 rows[name] = (-np.eye(1, size, size - 2 * sources + at)[0], 0.0, 0.0, 0.0)
         columns = tuple(zip(*rows.values(), strict=True))
         return {
@@ -548,11 +548,11 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
 def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
     """Stamp a source as a constraint."""
     k = into.sources.index(law)
-    if law.signal:
+    if law.sets_signal:
         into.S[:, k] += into.form(law, "out")
         return
     form = into.subtract_pins(law, "out", "ret")
-    if law.flows:
+    if law.prescribes_flow:
         into.S[:, k] += form
         into.rate(form)  # needed for the power of the source
     else:
@@ -561,16 +561,16 @@ def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
 
 def _stamp_device(law: L.Device, into: _Assembly) -> None:
     """Stamp a device."""
-    taps = []
-    for tap in law.taps:
-        form = into.subtract_pins(law, tap.pin, tap.minus, tap.less)
-        taps.append(into.rate(form) if tap.rate else form)
+    forms = []
+    for across in law.across_inputs:
+        form = into.subtract_pins(law, across.pin, across.minus, across.less)
+        forms.append(into.rate(form) if across.rate else form)
     if law.start is not None:
-        into.initial_values.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
+        into.initial_values.append((forms[0], law.start[0], into.rate(forms[0]), law.start[1]))
     states = np.eye(into.size)[into.states(law)]
     through = [-into.subtract_pins(law, f.pin, f.minus, f.less) for f in law.flows]
-    driven = map(partial(into.form, law), law.prescribes)
-    inputs = np.array([*taps, *states]).reshape(-1, into.size)
+    driven = map(partial(into.form, law), law.prescribed_signals)
+    inputs = np.array([*forms, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
         _stamp_linear(law, into, inputs, outputs)

@@ -91,7 +91,7 @@ class Port:
     @property
     def charged(self) -> bool:
         """Whether the output is the integral of the flow through the pin, such as a charge."""
-        return self.domain is not None and self.domain.charged
+        return self.domain is not None and self.domain.has_charge_output
 
     @property
     def loaded(self) -> bool:
@@ -99,12 +99,12 @@ class Port:
 
         The output is then an across quantity.
         """
-        return self.domain is not None and self.domain.driven == "through"
+        return self.domain is not None and self.domain.input_side == "through"
 
     @property
     def moving(self) -> bool:
         """Whether the input is a force or a torque, and the output a position."""
-        return self.domain is not None and self.domain.position
+        return self.domain is not None and self.domain.has_position
 
     @property
     def terminals(self) -> tuple[str, ...]:

@@ -237,7 +237,7 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
         domain = pin.domain
-        if domain is None or not domain.metered or scene.net(part.name, pin.name) == "0":
+        if domain is None or not domain.can_be_metered or scene.net(part.name, pin.name) == "0":
             continue
         if domain.power != "through" or pin.name != domain.reference:
             result[pin.name] = domain

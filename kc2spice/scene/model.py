@@ -123,7 +123,7 @@ class Terminal:
     @property
     def needs_path(self) -> bool:
         """Whether the net of the pin needs a path to the reference for an operating point."""
-        return self.domain is not None and bool(self.domain.path)
+        return self.domain is not None and bool(self.domain.path_to_reference)
 
     @property
     def domain(self) -> Domain | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
@@ -67,7 +67,7 @@ def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)
-    rising = np.sqrt(integrate_running(density**2, f))
+    rising = np.sqrt(integrate_cumulatively(density**2, f))
     rows = (
         (f"density in {unit}", density),
         (f"rms from the lowest on in {unit.removesuffix(DENSITY_UNIT)}", rising),

@@ -126,7 +126,7 @@ def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
             continue
         if scene.nets[source.name, "out"] in nets:
             corners = np.concatenate([[0.0], wave.corners(scene.stop), [scene.stop]])
-            peak = np.abs(wave(corners)).max() if wave.straight else abs(wave.amplitude)
+            peak = np.abs(wave(corners)).max() if wave.is_piecewise_linear else abs(wave.amplitude)
             yield source.name, float(peak)
 
 

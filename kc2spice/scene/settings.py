@@ -19,9 +19,9 @@ from kc2spice.core.quantities import (
     Frequency,
     GateLength,
     GateTime,
-    Notch,
     Place,
     Ratio,
+    RefinementRule,
     Section,
     Time,
     invalid_value_error,
@@ -43,14 +43,14 @@ class Rom(Section):
         "kc2spice reduce SCENE:PART --method NAME, or by kc.reduce in Python"
     }
 
-    order: Annotated[Count | None, Notch(2.0)] = Field(
+    order: Annotated[Count | None, RefinementRule(2.0)] = Field(
         None,
         ge=1,
         le=2000,
         description="Number of states of the reduced model; cannot be combined with tolerance",
     )
     # below 1e-10, rounding errors of double precision exceed the tolerance
-    tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
+    tolerance: Annotated[Ratio | None, RefinementRule(0.1, finest=1e-10)] = Field(
         None,
         ge=1e-10,
         lt=1,
@@ -112,10 +112,10 @@ class Solver(Section):
     """ngspice settings that are written into the deck."""
 
     # below 1e-7, rounding errors prevent the convergence of ngspice
-    reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(
+    reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
         1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
     )
-    chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
+    chgtol: Annotated[Charge, RefinementRule(0.1, finest=1e-14)] = Field(
         1e-8,
         gt=0,
         description="Charge tolerance of ngspice; in mode capacitors, a charge of 1 uC is a "
@@ -137,7 +137,7 @@ class Solver(Section):
     method: Literal["trap", "gear"] = Field(
         "trap", description="Integration rule of the simulator: trapezoidal or Gear"
     )
-    max_step: Annotated[Time | None, Notch(0.5)] = Field(
+    max_step: Annotated[Time | None, RefinementRule(0.5)] = Field(
         None,
         gt=0,
         description=(
@@ -348,7 +348,7 @@ class Analysis(Section):
         description="End of a transient [s], or highest frequency of an ac or noise analysis [Hz]",
     )
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of an ac or noise analysis")
-    points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
+    points: Annotated[Count, RefinementRule(2.0, spaces=True)] = Field(
         200, ge=2, le=200_000, description="Smallest number of points of a response or sweep"
     )
     scale: Literal["log", "linear"] = Field(

@@ -60,7 +60,7 @@ def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[Usage
     """
     for group in _floating_groups(scene, rests):
         floating = _describe_group(group, scene)
-        find = _position_errors if floating.domain.position else _storage_errors
+        find = _position_errors if floating.domain.has_position else _storage_errors
         yield from find(floating, group, scene, rests)
     if scene.analysis.type == "transient":
         yield from _list_velocity_jump_errors(scene, rests)
@@ -76,7 +76,7 @@ def _position_errors(
     result: FloatingNets, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
 ) -> Iterator[UsageError]:
     """Yield the reasons why floating positions have no operating point."""
-    kind, path = scene.analysis.type, result.domain.path
+    kind, path = scene.analysis.type, result.domain.path_to_reference
     heavy = [name for name, rest in rests.items() if rest.inert and name in result.parts]
     part_name = (*result.bodies, *heavy, *result.parts)[0]
     pushed = _list_loads(group, scene, rests)
@@ -138,10 +138,10 @@ def _storage_errors(
     zero = kind not in ("op", "dc", "ac", "noise") and not losses
     later = f"; or a {flow} that is zero at t = 0" if zero else ""
     yield UsageError(
-        f"{domain.adrift.format(part=stored)}, so the scene has no operating point",
+        f"{domain.floating_error.format(part=stored)}, so the scene has no operating point",
         where=stored,
         got=", ".join([f"analysis {kind}", *(f"{flow} of {name}" for name in pushed)]),
-        expected=f"{domain.path}{later}",
+        expected=f"{domain.path_to_reference}{later}",
         hint=f'add [path] with part = "{domain.path_part}", its resistance and  '
         f'pins = {{ a = "{".".join(pin)}" }}',
     )

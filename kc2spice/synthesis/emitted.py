@@ -152,7 +152,7 @@ def accelerates_frame(port: Port) -> bool:
 def _unit_load(port: Port) -> dict[str, float]:
     """Return the source of a unit load at a port."""
     node = port.terminals[0].lower()
-    unit = port.domain.quantity(port.domain.driven).per_unit if port.domain else 1.0
+    unit = port.domain.quantity(port.domain.input_side).per_unit if port.domain else 1.0
     return {node if port.loaded else f"i(held_{node})": unit}
 
 

@@ -202,7 +202,7 @@ def _describe_resonators(
     lines = list(OUTWARDS_COMMENT)
     domains = port_domains(map(attrgetter("port"), terminals))
     if has_other_reference(domains):
-        units = dict.fromkeys(map(attrgetter("answer_unit"), domains))
+        units = dict.fromkeys(map(attrgetter("output_unit"), domains))
         words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
         words["reference"], lines = f"Values of pins count from {base}", []
     return [*lines, *_RESONATORS_COMMENT.format(**words).split("\n")]

@@ -177,7 +177,7 @@ def _describe_resonators(ports: Sequence[Port], base: str) -> str:
             answer="displacement of a port in um",
             reference="The base is the mechanical and signal reference",
         )
-    units = " or ".join(dict.fromkeys(map(attrgetter("answer_unit"), domains)))
+    units = " or ".join(dict.fromkeys(map(attrgetter("output_unit"), domains)))
     return _RESONATOR_COMMENT.format(
         answer=f"answer of a port in 1e-6 {units}", reference=f"Values of pins count from {base}"
     )

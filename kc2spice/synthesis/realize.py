@@ -417,7 +417,7 @@ def apply_unit_load(
         key = pin.name.lower()
         nodes[key] = f"{pin.name}{tag}" if key in ends else "0"
     cards, result = [Element.of(f"X{library.name}{tag}", *nodes.values(), library.name)], {}
-    one = 1.0 if load.domain is None else load.domain.quantity(load.domain.driven).factor
+    one = 1.0 if load.domain is None else load.domain.quantity(load.domain.input_side).factor
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.domain is not None and port.loaded:

@@ -163,7 +163,7 @@ class PortTerminal:
     def input_unit(self) -> float:
         """SI value of 1 V between the nodes of the input."""
         domain = self.port.domain
-        return 1.0 if domain is None else domain.quantity(domain.driven).factor
+        return 1.0 if domain is None else domain.quantity(domain.input_side).factor
 
     def driven_pins(self, base: str) -> tuple[str, str]:
         """Return the pins between which an input drives the port."""

@@ -1,8 +1,8 @@
 """Error and CPU time of a scene for various numerical settings, and a recommendation.
 
-The scene runs unchanged, with each single axis (:mod:`kc2spice.scene.axes`) changed, and with all
-axes finer. The search then follows the axes to the cheapest settings within the error limit, and
-within the error of the unchanged scene.
+The axes are the settings of :mod:`kc2spice.scene.numerical_settings`. The scene runs unchanged,
+with each single axis changed, and with all axes finer. The search then follows the axes to the
+cheapest settings within the error limit, and within the error of the unchanged scene.
 
 Errors are relative to a reference run with every axis at its finest value. A second, coarser run
 shows how well the reference has converged. A key that the scene sets to its finest value, such as
@@ -37,8 +37,13 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
-from kc2spice.scene.axes import Axis, apply_notches, find_axes, find_finest_axes
 from kc2spice.scene.model import Scene
+from kc2spice.scene.numerical_settings import (
+    NumericalSetting,
+    find_finest_settings,
+    find_numerical_settings,
+    refine_settings,
+)
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
 from kc2spice.workflow.refine import Runs, metric_changes
@@ -93,7 +98,7 @@ class _Plane:
     """
 
     def __init__(self, run: Run) -> None:
-        finer, finest = find_axes(run.build), find_finest_axes(run.build)
+        finer, finest = find_numerical_settings(run.build), find_finest_settings(run.build)
         # a finer mesh takes no time in the simulator
         self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
@@ -129,7 +134,7 @@ class _Plane:
 
     def run_setting(self, place: Place) -> None:
         """Run a setting, unless it has run before."""
-        settings = apply_notches(self.axes, self.notches(place))
+        settings = refine_settings(self.axes, self.notches(place))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
@@ -143,7 +148,7 @@ class _Plane:
         else:
             self.points[label] = _TimedSetting(place, settings, run, errors, [run.cpu_s])
 
-    def axis_errors(self, axis: Axis, notch: float) -> Errors:
+    def axis_errors(self, axis: NumericalSetting, notch: float) -> Errors:
         """Return the errors that one value of an axis causes while all others are unchanged.
 
         A value has at least the errors of every finer value.
@@ -152,7 +157,7 @@ class _Plane:
             finer = REFINEMENT_NOTCHES[bisect_right(REFINEMENT_NOTCHES, notch) :]
             result = self.axis_errors(axis, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
             change = dict.fromkeys(self.names, np.inf)
-            if (point := self.points.get(_describe_settings(axis.at(notch)))) is not None:
+            if (point := self.points.get(_describe_settings(axis.refined_keys(notch)))) is not None:
                 reference = self.runs.run_at({axis.name: REFERENCE_NOTCHES})
                 change = run_errors(point.run, reference, self.names)
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
@@ -278,7 +283,7 @@ def bench(
         plane.search(error, progress)
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
-        finest = apply_notches(plane.axes, plane.notches((REFERENCE_NOTCHES,) * len(plane.axes)))
+        finest = refine_settings(plane.axes, plane.notches((REFERENCE_NOTCHES,) * len(plane.axes)))
         best = plane.find_cheapest(error)
         points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {

@@ -82,7 +82,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
     for k, rate in enumerate(rates):
         linear = systems[0] if constant else LinearisedSystem(system, rate)
         waves = dict(zip(system.names, linear.respond(rate, amplitudes), strict=True))
-        voltage = network.readings[f"{part}.v"].combine(waves)
+        voltage = network.results[f"{part}.v"].combine(waves)
         if voltage == 0:
             raise UsageError(
                 "no source drives this part",
@@ -91,7 +91,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
                 expected="a source with an ac amplitude on the net of the part",
                 hint='add  ac = "1 V"  to the source',
             )
-        result[k] = network.readings[f"{part}.i"].combine(waves) / voltage
+        result[k] = network.results[f"{part}.i"].combine(waves) / voltage
     return result
 
 
@@ -126,7 +126,7 @@ def _find_network(scene: Scene, part: str) -> Network:
             expected="parts with equations only",
             hint="replace these parts, such as a netlist, by resistors and sources",
         )
-    return next(network for network in laws.networks if needed <= network.readings.keys())
+    return next(network for network in laws.networks if needed <= network.results.keys())
 
 
 @dataclass(frozen=True, eq=False)

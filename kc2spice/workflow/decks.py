@@ -25,9 +25,9 @@ from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.netlist.transforms import prepare_noise
 from kc2spice.scene.analysis_cards import make_analysis_cards
-from kc2spice.scene.axes import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
+from kc2spice.scene.numerical_settings import MAX_STEP_KEY, describe_plan
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.rows import Numerics

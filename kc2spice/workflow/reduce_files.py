@@ -659,10 +659,10 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
     (instance, *sources), answers = apply_unit_load(model, part, driven)
-    words = {port.name: f".{port.domain.response}" for port in model.ports if port.domain}
+    words = {port.name: f".{port.domain.output_wave}" for port in model.ports if port.domain}
     low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
     low = max(low, high / 1e3)
-    known = None if driven.domain is None else driven.domain.quantity(driven.domain.driven)
+    known = None if driven.domain is None else driven.domain.quantity(driven.domain.input_side)
     what = f"1 {known.unit}" if known else "one unit"
     title = f"{part.name}: response to {what} at {driven.name}"
     return Deck(

@@ -1,10 +1,10 @@
 """Runs of a scene with refined numerical settings, and error estimates of its metrics.
 
-The settings are axes (:mod:`kc2spice.scene.axes`), each of which changes in notches. A refined run
-changes all axes by one notch. The error estimate of a metric is its change, times
-:data:`REMAINDER_FACTOR`. With an ``error_budget`` the axis that changes the metrics most is refined
-first. The search ends when the estimate of every metric is within the budget, or reports its
-attempts.
+The axes are the settings of :mod:`kc2spice.scene.numerical_settings`, which change in notches
+(refinement steps). A refined run changes all axes by one notch. The error estimate of a metric is
+its change, times :data:`REMAINDER_FACTOR`. With an ``error_budget`` the axis that changes the
+metrics most is refined first. The search ends when the estimate of every metric is within the
+budget, or reports its attempts.
 """
 
 from __future__ import annotations
@@ -23,14 +23,19 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.core.memory import available_bytes
-from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.mesh_error import list_mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.scene.axes import Axis, apply_notches, find_axes, find_finest_axes
 from kc2spice.scene.checks import Check, require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.numerical_settings import (
+    NumericalSetting,
+    find_finest_settings,
+    find_numerical_settings,
+    refine_settings,
+)
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import (
@@ -77,10 +82,10 @@ class Runs:
     def __init__(
         self,
         start: Run,
-        axes: Sequence[Axis],
+        axes: Sequence[NumericalSetting],
         clock: Clock,
         *,
-        finest: Sequence[Axis] = (),
+        finest: Sequence[NumericalSetting] = (),
         retries: int | None = None,
         most: float = MAX_RUNS,
     ) -> None:
@@ -94,7 +99,7 @@ class Runs:
 
         Raises as :func:`kc2spice.workflow.simulate.simulate_deck` does.
         """
-        build, settings = self.start.build, apply_notches(self.all_axes, notches)
+        build, settings = self.start.build, refine_settings(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
             self.known[repr(settings)] = evaluate_scene(
@@ -108,7 +113,7 @@ class Runs:
         return self.known[repr(settings)]
 
     @property
-    def all_axes(self) -> tuple[Axis, ...]:
+    def all_axes(self) -> tuple[NumericalSetting, ...]:
         """Axes that can be refined, then axes at their finest value."""
         return (*self.axes, *self.finest)
 
@@ -130,7 +135,7 @@ class Runs:
                 continue
             assert isinstance(part.type, MeshedBody)
             dimensions = part.type.dimensions(part)
-            grown = (axis.at(notches[axis.name])[axis.name] / axis.value) ** dimensions
+            grown = (axis.refined_keys(notches[axis.name])[axis.name] / axis.value) ** dimensions
             unknowns = grown * self.start.build.facts(part)["unknowns"]
             need = factor_bytes(unknowns, dimensions)
             most, memory = self.limits
@@ -142,7 +147,7 @@ class Runs:
                 )
                 raise self.refused
 
-    def _body_of_axis(self, axis: Axis) -> Part | None:
+    def _body_of_axis(self, axis: NumericalSetting) -> Part | None:
         """Return the body whose mesh an axis refines; None if the run refines no mesh."""
         for part in self.start.build.scene.parts.values() if axis.model else ():
             refined = axis.name.startswith(f"{part.key_prefix}.")
@@ -161,7 +166,7 @@ class Runs:
         for axis in self.all_axes:
             part = self._body_of_axis(axis) if axis.name in names else None
             if part is not None:
-                errors = mesh_errors(run.build.facts(part))
+                errors = list_mesh_errors(run.build.facts(part))
                 largest = max([largest, *errors.values()])
         return largest
 
@@ -328,7 +333,9 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     if action == "off":
         return None
     limit = budget or DEFAULT_ERROR_LIMIT
-    runs = Runs(start, find_axes(start.build), clock, finest=find_finest_axes(start.build))
+    runs = Runs(
+        start, find_numerical_settings(start.build), clock, finest=find_finest_settings(start.build)
+    )
     if any(map(attrgetter("mesh"), runs.axes)):
         most, memory = runs.limits
         text = f"meshes are refined up to {_format_size(most, memory)} of memory"
@@ -402,7 +409,7 @@ def estimate_errors(runs: Runs, notches: Notches) -> Estimate | None:
         finer = _try_run(runs, _add_notches(notches, [a for a in runs.axes if a not in fixed_axes]))
         unmoved = (*map(attrgetter("name"), fixed_axes), *finest)
         if finer is not None:
-            settings = apply_notches(runs.axes, notches)
+            settings = refine_settings(runs.axes, notches)
             errors = _estimate_differences(now, finer)
             # errors that refined runs do not change
             left = estimate_by_coarser_runs(runs, notches, unmoved, errors)
@@ -428,7 +435,7 @@ def estimate_by_coarser_runs(
             continue
         at = notches.get(axis.name, 0)
         coarser = None
-        if axis.at(at - 1) != axis.at(at):
+        if axis.refined_keys(at - 1) != axis.refined_keys(at):
             coarser = _try_run(runs, _add_notches(notches, [axis], -1))
         for name, change in metric_changes(coarser, now).items() if coarser is not None else ():
             if math.isfinite(change):
@@ -456,7 +463,14 @@ def _refine_dominant_axis(
         most = 1 if axis.model else min(max(far, 1), MAX_NOTCH_STEP)
         at = now.notches.get(axis.name, 0)
         # one further notch must change the setting
-        by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
+        by = next(
+            (
+                n
+                for n in range(most, 0, -1)
+                if axis.refined_keys(at + n) != axis.refined_keys(at + n + 1)
+            ),
+            0,
+        )
         if not by:
             # the axis is at its limit, and refining other axes does not reduce this error
             return None
@@ -467,7 +481,7 @@ def _refine_dominant_axis(
     return None
 
 
-def _add_notches(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
+def _add_notches(notches: Notches, moved: Sequence[NumericalSetting], by: int = 1) -> Notches:
     """Return ``notches`` plus further notches of some axes."""
     return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
 

@@ -133,9 +133,9 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
             causes.append(str(error).splitlines()[0])
             continue
         amplitudes = np.array([source.ac for source in linear.system.sources])
-        for name in of & network.readings.keys():
+        for name in of & network.results.keys():
             with suppress(SimulationError, UsageError, np.linalg.LinAlgError):
-                zeros[name] = linear.zeros(network.readings[name], amplitudes)
+                zeros[name] = linear.zeros(network.results[name], amplitudes)
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(

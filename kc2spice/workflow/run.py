@@ -19,10 +19,10 @@ from kc2spice.report.figures import draw_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
 from kc2spice.scene import noise_analysis
-from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.metrics import read_levels
 from kc2spice.scene.model import Scene
+from kc2spice.scene.numerical_settings import describe_plan
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.synthesis.ringing import warn_of_long_run

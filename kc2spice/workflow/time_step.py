@@ -24,7 +24,7 @@ import numpy as np
 
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.laws import evaluate_readings
+from kc2spice.core.laws import evaluate_combinations
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of, list_pin_kinds
@@ -356,8 +356,8 @@ def _largest_deviation(
     rounding = dict(zip(names, motion.rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
     largest: dict[str, float] = {}
-    for name, true in evaluate_readings(network.readings, exact, at).items():
-        noise = sum(abs(factor) * rounding[wave] for factor, wave in network.readings[name].terms)
+    for name, true in evaluate_combinations(network.results, exact, at).items():
+        noise = sum(abs(factor) * rounding[wave] for factor, wave in network.results[name].terms)
         unit = vectors[name].unit if name in vectors else ""
         size = float(np.abs(true).max())
         if name in waves and size > max(noise, MIN_SIZE.get(unit, 0.0)):

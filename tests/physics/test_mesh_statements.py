@@ -22,10 +22,10 @@ from support import (
     count_compared_positions,
     describe_plan,
     export_rom,
+    list_mesh_errors,
     load_part_types,
     load_scene,
     material,
-    mesh_errors,
     model_sphere,
     model_values,
     moving_conductor,
@@ -87,8 +87,8 @@ def test_a_reduced_file_contains_the_facts_of_its_model(tmp_path):
     scene = load_scene({"name": "s", "disc": disc, "analysis": {"type": "op"}}, {})
     body = kc.reduce(kc.build(scene)["disc"], order=4, band=(0.0, 1e6))
     (file, *_) = write_rom(body, tmp_path, "disc_rom")
-    kept = mesh_errors(read_rom(tmp_path / file).facts)
-    assert kept == mesh_errors(body.facts) != {}
+    kept = list_mesh_errors(read_rom(tmp_path / file).facts)
+    assert kept == list_mesh_errors(body.facts) != {}
     assert "* mesh: error estimate of the full model: first resonance" in exported(tmp_path / file)
 
 

@@ -233,7 +233,7 @@ def test_energy_and_force_of_a_state_follow_from_one_coenergy():
         divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
     )
     law = DeclaredLaw("c", declare(part, found).with_loop_pin, (ALUMINIUM,))
-    first = len(law.taps)
+    first = len(law.across_inputs)
     rng = np.random.default_rng(5)
     for _ in range(5):
         e = rng.normal(size=first + len(law.states))

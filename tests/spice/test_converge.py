@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support import ERROR_BUDGET, Caller, Clock, mesh_errors, refine
+from support import ERROR_BUDGET, Caller, Clock, list_mesh_errors, refine
 
 import kc2spice as kc
 
@@ -140,7 +140,9 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     true = refine.metric_changes(done.final.run, exact)
     for name, error in true.items():
         assert done.final.errors[name] >= error, name
-    mesh = max(mesh_errors(done.final.run.build.facts(exact.build.scene.parts["disc"])).values())
+    mesh = max(
+        list_mesh_errors(done.final.run.build.facts(exact.build.scene.parts["disc"])).values()
+    )
     assert true["impedance_ohm"] > 5 * mesh
 
 

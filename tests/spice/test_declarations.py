@@ -176,7 +176,7 @@ def test_the_printed_text_equals_the_documented_text(name, dialect):
 
 
 def inputs(own, state, rates, drops):
-    """Inputs of a law in the order of its taps and states, and their rates."""
+    """Inputs of a law in the order of its across inputs and states, and their rates."""
     rows = [
         (drops[b.name], 0.0) if b.kind in FLOWS else (state[b.name], rates[b.name])
         for b in own.declaration.branches
@@ -364,7 +364,9 @@ def test_the_law_of_a_contact_follows_its_declaration(kind):
     for x, rate, slide, wanted in touching(normal):
         known = {"p": x[0] + GAPS[0], "q": x[1] + GAPS[1], "slide": 0.0}
         speeds = {"p": rate[0], "q": rate[1], "slide": slide}
-        e = np.array([(speeds if tap.rate else known)[tap.pin] for tap in own.taps])
+        e = np.array(
+            [(speeds if across.rate else known)[across.pin] for across in own.across_inputs]
+        )
         mode = own.mode(e)
         out, by = own.evaluate(e, mode)
         np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
@@ -372,7 +374,9 @@ def test_the_law_of_a_contact_follows_its_declaration(kind):
         exact = [np.imag(flows(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
                  for unit in np.eye(e.size)]  # fmt: skip
         np.testing.assert_allclose(by, np.array(exact).T, rtol=1e-12, atol=1e-12)
-        moving = np.array([0.0 if tap.rate else speeds[tap.pin] for tap in own.taps])
+        moving = np.array(
+            [0.0 if across.rate else speeds[across.pin] for across in own.across_inputs]
+        )
         rise = np.imag(own._energy_function(*(e + 1j * H * moving), *mode, *own.values)[0]) / H
         brought = sum(f * speeds[flow.pin] for f, flow in zip(out, own.flows, strict=True))
         lost = own.loss(e, mode)

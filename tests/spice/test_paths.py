@@ -74,6 +74,6 @@ def test_a_model_that_leads_no_heat_away_is_refused(tmp_path):
 
 
 def test_nets_of_some_domains_need_a_path_to_their_reference():
-    needing = {domain.name for domain in CONSERVATIVE if domain.path}
+    needing = {domain.name for domain in CONSERVATIVE if domain.path_to_reference}
     assert needing == {"translation", "rotation", "thermal", "acoustic"}
-    assert all("{part}" in DOMAINS[name].adrift for name in needing)
+    assert all("{part}" in DOMAINS[name].floating_error for name in needing)

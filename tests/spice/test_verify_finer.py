@@ -10,15 +10,15 @@ from support import (
     MESH_QUANTITIES,
     Build,
     Clock,
-    Notch,
+    RefinementRule,
     Rom,
     SceneLaws,
     app,
     build_models,
     find_part_type,
+    find_section,
     ignore_progress,
     load_scene,
-    submodel,
     type_names,
 )
 from typer.testing import CliRunner
@@ -77,10 +77,10 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
 def discretisations(schema, prefix=""):
     """Dotted keys of a schema that are marked as the fineness of a model."""
     for name, declared in schema.model_fields.items():
-        inner = submodel(declared.annotation)
+        inner = find_section(declared.annotation)
         if inner is not None and inner is not Rom:
             yield from discretisations(inner, f"{prefix}{name}.")
-        if any(isinstance(mark, Notch) and mark.model for mark in declared.metadata):
+        if any(isinstance(mark, RefinementRule) and mark.model for mark in declared.metadata):
             yield f"{prefix}{name}"
 
 
@@ -104,7 +104,7 @@ DISC = {
 def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch):
     """The error of the resonance is one of the size of an element, squared: against a mesh of a
     quarter of its size by what verify finds."""
-    stricter = MESH_QUANTITIES["resonance"]._replace(coarse=1e-3)
+    stricter = MESH_QUANTITIES["resonance"]._replace(warning_limit=1e-3)
     monkeypatch.setitem(MESH_QUANTITIES, "resonance", stricter)
     scene = load_scene(DISC, {"disc.mesh.refine": refine})
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]

@@ -108,7 +108,7 @@ def test_changed_source_or_library_builds_again(tmp_path, monkeypatch):
     (tmp_path / "some_model.py").write_text("x = 2\n")
     load_or_build("kind", {}, build, sources=("some_model",))
     assert build.calls == 2
-    monkeypatch.setattr(cache, "_version", lambda library: "0.0")
+    monkeypatch.setattr(cache, "_installed_version", lambda library: "0.0")
     load_or_build("kind", {}, build, sources=("some_model",))
     assert build.calls == 3
 

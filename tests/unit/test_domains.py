@@ -54,12 +54,12 @@ def test_the_power_on_a_pin_is_in_watts(domain):
 
 @pytest.mark.parametrize("domain", PORTS.values(), ids=lambda domain: domain.name)
 def test_units_of_responses_follow_from_the_inputs_of_ports(domain):
-    driven = domain.quantity(domain.driven).unit
-    assert product(domain.compliance, driven) == dimension(domain.answer_unit)
-    if domain.potential and domain.power == "across * through":  # the answer's rate flows
-        assert product(domain.answer_unit, "1/s") == dimension(domain.through.unit)
-    elif domain.driven == "through":
-        assert domain.answer_unit == domain.across.unit
+    driven = domain.quantity(domain.input_side).unit
+    assert product(domain.compliance, driven) == dimension(domain.output_unit)
+    if domain.has_potential and domain.power == "across * through":  # the answer's rate flows
+        assert product(domain.output_unit, "1/s") == dimension(domain.through.unit)
+    elif domain.input_side == "through":
+        assert domain.output_unit == domain.across.unit
 
 
 def test_names_and_pairs_of_units_identify_domains():

@@ -9,12 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import _PYTHON_PACKAGES, LIBRARIES, LinearModel, MissingToolError, import_optional
+from support import (
+    _PYTHON_PACKAGES,
+    OPTIONAL_LIBRARIES,
+    LinearModel,
+    MissingToolError,
+    import_optional,
+)
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 FOR_DEVELOPERS = {"test", "docs", "dev"}
-EXTRAS = {library.extra for library in LIBRARIES.values()} - {None}
+EXTRAS = {library.extra for library in OPTIONAL_LIBRARIES.values()} - {None}
 # Hides a library in every process of a command, as if it were not installed.
 HIDING = """
 import sys
@@ -61,20 +67,20 @@ def test_a_command_without_its_library_names_the_extra(top, tmp_path):
         env={**os.environ, "PYTHONPATH": path}, check=False,
     )  # fmt: skip
     assert done.returncode == MissingToolError.exit_code, done.stderr
-    library = LIBRARIES[top]
+    library = OPTIONAL_LIBRARIES[top]
     assert f"{library.package} is not installed" in done.stderr
     assert f"  next:     pip install 'kc2spice[{library.extra}]'\n" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("top", LIBRARIES)
+@pytest.mark.parametrize("top", OPTIONAL_LIBRARIES)
 def test_a_module_without_its_library_is_an_error(top, monkeypatch):
     monkeypatch.setitem(sys.modules, top, None)
     with pytest.raises(MissingToolError) as caught:
         import_optional(f"{top}.module", "--option")
     assert (caught.value.where, caught.value.got) == ("--option", None)
-    name = LIBRARIES[top].extra
-    expected = LIBRARIES[top].package if name is None else f"'kc2spice[{name}]'"
+    name = OPTIONAL_LIBRARIES[top].extra
+    expected = OPTIONAL_LIBRARIES[top].package if name is None else f"'kc2spice[{name}]'"
     assert caught.value.hint == f"pip install {expected}"
 
 
@@ -125,7 +131,9 @@ def test_optional_libraries_are_imported_in_one_place():
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             tops = {name.partition(".")[0] for name in names}
-            assert not tops & set(LIBRARIES), f"{path} imports {tops & set(LIBRARIES)}"
+            assert not tops & set(OPTIONAL_LIBRARIES), (
+                f"{path} imports {tops & set(OPTIONAL_LIBRARIES)}"
+            )
 
 
 def test_doctor_looks_for_every_required_library():

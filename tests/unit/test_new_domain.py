@@ -18,13 +18,13 @@ WATER = Domain(
     "across * through",
     "levels are constant",
     port="water",
-    answer_unit="m3",
+    output_unit="m3",
     compliance="m3/Pa",
-    word="head",
-    response="discharge",
+    output_symbol="head",
+    output_wave="discharge",
     reference="tank",
-    path="a pipe to gnd",
-    adrift="no pipe leads from {part}",
+    path_to_reference="a pipe to gnd",
+    floating_error="no pipe leads from {part}",
 )
 TABLE = (WATER, """
 START = f"""

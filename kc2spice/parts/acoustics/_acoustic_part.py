@@ -214,7 +214,7 @@ class AcousticPart(PartType[FluidKeysT]):
         pressure = laws.wave_difference(at_node[network.entry][0], at_node[AMBIENT][0])
         results = {
             f"{n}.{ACOUSTIC.across.symbol}": pressure,
-            f"{n}.{ACOUSTIC.through_variable.symbol}": laws.Reading(
+            f"{n}.{ACOUSTIC.through_variable.symbol}": laws.WaveCombination(
                 self.flows_into(part, network, network.entry)
             ),
         }

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
-from kc2spice.core.laws import Device, Flow, LawPin, Tap
+from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class DuctLaw(Device):
         return (*ends, LawPin(AMBIENT, kind, grounded=True))
 
     @property
-    def taps(self) -> tuple[Tap, ...]:
+    def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Pressures at the ends."""
-        return tuple(Tap(end, AMBIENT) for end in self.ends)
+        return tuple(AcrossInput(end, AMBIENT) for end in self.ends)
 
     @property
     def flows(self) -> tuple[Flow, ...]:

@@ -276,7 +276,7 @@ def find_far_field(keys: RadiationKeys) -> FarField:
     return FarField(mass * area / (keys.fluid.density * keys.fluid.sound_speed), mass, rate=True)
 
 
-def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Reading:
+def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
     """Return the far field as a linear combination of waves of the independent integrator."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
@@ -287,7 +287,7 @@ def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Re
             for factor, wave in equations.results[f"{part.name}.{symbol}"].terms:
                 terms.append((share * factor, wave))
     corner = part.keys.sound_corner if field.rate else math.inf
-    return laws.Reading(tuple(terms), rate=field.rate, corner=corner)
+    return laws.WaveCombination(tuple(terms), rate=field.rate, corner=corner)
 
 
 register(Radiation())

@@ -13,7 +13,7 @@ from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
@@ -297,16 +297,22 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         gap, damped = np.zeros(t.size), stored[0] - stored
         for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
-            took, name = integrate_running(load, exact), wave_name(part.name, model.ports, port)
+            took, name = (
+                integrate_cumulatively(load, exact),
+                wave_name(part.name, model.ports, port),
+            )
             damped = damped + took
             if port.charged and port.domain is not None:
                 what, result = f"{port.domain.name} work", took
                 current = waves.data.get(flow_name(part.name, model.ports, port))
                 if current is not None:
-                    result = integrate_running(load * current, t)
-                    answers[f"charge of {name}"] = integrate_running(current, t) + exact[0], exact
+                    result = integrate_cumulatively(load * current, t)
+                    answers[f"charge of {name}"] = (
+                        integrate_cumulatively(current, t) + exact[0],
+                        exact,
+                    )
             else:
-                what, result = "work of the contact", integrate_running(load, waves[name])
+                what, result = "work of the contact", integrate_cumulatively(load, waves[name])
                 answers[name] = waves[name], exact
             entries[what] = entries.get(what, 0.0) + float(result[-1])
             gap += result - took

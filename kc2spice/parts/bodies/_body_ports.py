@@ -34,10 +34,12 @@ from kc2spice.synthesis.terminals import reference_pin
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
 # Symbols of through quantities whose integral is the output of a port, keyed by kind of port.
 FLOW_SYMBOLS_OF_PORTS = {
-    row.port: row.through_variable.symbol for row in SINGLE_PIN_KINDS.values() if row.charged
+    row.port: row.through_variable.symbol
+    for row in SINGLE_PIN_KINDS.values()
+    if row.has_charge_output
 }
 WAVE_WORDS = (
-    *(domain.word for domain in SINGLE_PIN_KINDS.values()),
+    *(domain.output_symbol for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
 ZERO_ENERGY = 1e-13  # rounding error of an energy, as a fraction of the energy of the stiffest mode
@@ -281,7 +283,7 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """
     if port.paired:
         return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"
-    word = "" if port.domain is None else port.domain.word
+    word = "" if port.domain is None else port.domain.output_symbol
     return ".".join(filter(None, (name, word, port.name)))
 
 

@@ -234,13 +234,13 @@ class LinearBody(BodyChecks[LinearKeysT]):
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
         for item in MESH_QUANTITIES.values():
-            if item.coarse is None:
+            if item.warning_limit is None:
                 continue
-            names = fnmatch.filter(facts, item.values)
+            names = fnmatch.filter(facts, item.value_names)
             changes = [abs(facts[name] / finer[name] - 1) for name in names if finer.get(name)]
             if changes:
-                name = f"mesh of {part.name} half as wide, {item.words}"
-                yield Check(name, max(changes), item.coarse)
+                name = f"mesh of {part.name} half as wide, {item.description}"
+                yield Check(name, max(changes), item.warning_limit)
 
     def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
         """Return the error estimate of the mesh, or the reason why there is no estimate."""

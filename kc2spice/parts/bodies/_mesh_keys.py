@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.core.errors import UsageError, list_candidates, wrong
-from kc2spice.core.quantities import Count, Length, Notch, Section
+from kc2spice.core.quantities import Count, Length, RefinementRule, Section
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.fem import mesh_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -74,7 +74,7 @@ class MeshKeys(FieldKeys):
         ),
     )
     size: Length | None = Field(None, gt=0, description="Element size for the mesh of a CAD file")
-    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+    refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor that divides the size of all elements"
     )
     merge: Length | None = Field(

@@ -22,7 +22,7 @@ import numpy as np
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
-from kc2spice.core.mesh_error import limited_errors
+from kc2spice.core.mesh_error import list_limited_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
@@ -259,7 +259,7 @@ def find_field_problems(
 
 def check_mesh(part: Part, build: Build) -> Iterator[Check]:
     """Yield checks of the estimated errors of a part's mesh."""
-    for words, error, limit in limited_errors(build.facts(part)):
+    for words, error, limit in list_limited_errors(build.facts(part)):
         name = f"mesh of {part.name}, {words}"
         yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
 

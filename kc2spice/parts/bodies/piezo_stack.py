@@ -17,7 +17,7 @@ from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, reduction_target
 from kc2spice.parts.bodies._body_ports import required_ports
@@ -371,7 +371,7 @@ class PiezoStack(MeshedBody[Stack]):
             peak = float(np.abs(waves[f"{part.name}.voltage"]).max())
             result["kick_voltage_peak_v"] = Metric(peak, "V")
             if current is not None:
-                charge = integrate_running(current, waves["time"])
+                charge = integrate_cumulatively(current, waves["time"])
                 result["kick_current_peak_a"] = Metric(float(np.abs(current).max()), "A")
                 result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
         return result

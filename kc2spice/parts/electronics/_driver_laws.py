@@ -242,7 +242,7 @@ def build_driver_equations(
     results = {f"{name}.{pin}": laws.scaled_wave(f"{name}.{pin}") for pin in pins}
     conductance = 1.0 / values[SERIES_PARAMETER]
     ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))
-    results[f"{name}.i"] = laws.Reading(ends)
+    results[f"{name}.i"] = laws.WaveCombination(ends)
     law = DeclaredLaw(name, declared, tuple(values.values()))
     joined = tuple((pin, f"{name}.{pin}") for pin in (*pins, "ref"))
     return laws.Equations((law,), joined, results)

@@ -280,7 +280,7 @@ class Source(PartType[SourceKeys]):
         if kind.letter == "V":
             result[name] = Vector(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
-            pushed = (("out",), ("ret",)) if kind.domain.driven == "through" else ()
+            pushed = (("out",), ("ret",)) if kind.domain.input_side == "through" else ()
             result[name] = Vector(f"@i{n.lower()}[current]", factor, unit, *pushed)
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
@@ -307,7 +307,7 @@ class Source(PartType[SourceKeys]):
         wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)
         law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, size)
-        signal = law.signal
+        signal = law.sets_signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         domain = SOURCE_TYPES[keys.kind].domain
         across, through = (f"{n}.{item.symbol}" for item, _ in domain.quantities)
@@ -363,7 +363,7 @@ def _sweep_cards(
 
 def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
     """Yield the largest time steps and the frequencies that a sine or edges require."""
-    if not wave.straight:
+    if not wave.is_piecewise_linear:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
         yield Numerics(what, 1 / (POINTS_PER_PERIOD * f), RESOLVED_HARMONICS * f, period=1 / f)

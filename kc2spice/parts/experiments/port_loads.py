@@ -20,7 +20,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.naming import names_of
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import Count, Frequency, Notch, Section
+from kc2spice.core.quantities import Count, Frequency, RefinementRule, Section
 from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
@@ -49,7 +49,7 @@ class PortLoadsKeys(Section):
 
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
     stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
-    steps: Annotated[Count, Notch(2.0)] = Field(
+    steps: Annotated[Count, RefinementRule(2.0)] = Field(
         200, ge=2, le=100_000, description="Number of frequencies of the responses"
     )
     of: str | None = Field(
@@ -199,7 +199,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
         result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
-        results: dict[str, laws.Reading] = {}
+        results: dict[str, laws.WaveCombination] = {}
         still = constant_waveform(0.0)
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # names of parts contain no blanks
@@ -218,7 +218,7 @@ class PortLoads(PartType[PortLoadsKeys]):
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
             for ring in rings:
                 results[f"{load}>{ring}"] = laws.scaled_wave(f"{name}.{ring}")
-            charge = laws.Reading(((1.0, f"{name}.anode.through"),), charge=True)
+            charge = laws.WaveCombination(((1.0, f"{name}.anode.through"),), charge=True)
             results[f"{load}>anode"] = laws.scaled_wave(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 

@@ -26,8 +26,8 @@ from kc2spice.core.quantities import (
     FluxDensity,
     Frequency,
     Length,
-    Notch,
     Ratio,
+    RefinementRule,
     Resistance,
     Section,
     si,
@@ -128,7 +128,7 @@ class Moving(ConductorKeys):
     )
     y_min: Length = Field(description="Lowest height of the centre of mass")
     y_max: Length = Field(description="Greatest height of the centre of mass")
-    tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
+    tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
         1e-3,
         gt=1e-8,
         lt=0.1,
@@ -152,7 +152,7 @@ class MovingConductorKeys(Conduction, Moving):
             "of the analysis and the sources, at least 1 kHz"
         ),
     )
-    rings: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+    rings: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         400,
         ge=20,
         le=3000,

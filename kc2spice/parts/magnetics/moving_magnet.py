@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
+from kc2spice.core.quantities import MU_0, FluxDensity, Length, Ratio, RefinementRule, Section
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, current_loop
 from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, surface_currents, windings
@@ -41,7 +41,7 @@ class MovingMagnetKeys(Magnetisation, Moving):
         ge=1,
         description=("Recoil permeability, the remanence divided by mu_0 times the coercivity"),
     )
-    tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
+    tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
         1e-5,
         gt=1e-8,
         lt=0.1,

@@ -27,7 +27,7 @@ from kc2spice.core.magnets import (
     EMTable,
     interpolate_by_splines,
 )
-from kc2spice.core.mesh_error import PLANE_UNKNOWN_RATIO, describe_mesh_errors, mesh_errors
+from kc2spice.core.mesh_error import PLANE_UNKNOWN_RATIO, describe_mesh_errors, list_mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
@@ -495,7 +495,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
         words = f"height over its way, {DENSITY_RATIO} times the positions of {part.name}"
         yield Gate(words, of, limits, "travel", discretisation=True)
-        for words, error in mesh_errors(build.facts(part)).items():
+        for words, error in list_mesh_errors(build.facts(part)).items():
             if error > MAX_SPLINE_ERROR:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
                 yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from kc2spice.core.quantities import (
     Length,
-    Notch,
     Pressure,
     Ratio,
+    RefinementRule,
     Rings,
     Section,
     Stiffness,
@@ -65,8 +65,8 @@ class ContactKeys(Section):
             "a sphere"
         ),
     )
-    spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
-        10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)"
+    spacing: Annotated[Length, RefinementRule(0.5, model=True, when=(("shape", "pressure"),))] = (
+        Field(10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)")
     )
     law: Literal["linear", "hertz"] = Field(
         "linear",

@@ -477,6 +477,6 @@ def last_source_change(scene: WiredScene) -> float:
         if scene.joined_types(source.name, "out") <= {"pid"}:
             continue
         corners = wave.corners(scene.stop)
-        ends.append(float(max(corners, default=0.0)) if wave.straight else math.inf)
+        ends.append(float(max(corners, default=0.0)) if wave.is_piecewise_linear else math.inf)
     last = max(ends, default=0.0)
     return last if last > 0 else math.inf

@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import (
     SPHERE_PATCH,
@@ -238,7 +238,7 @@ class Contact(DeclaredPart[ContactKeys]):
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
         for word, share in _sum_factors(pair).items():
-            sums[f"{n}.{word}"] = laws.Reading(tuple(product([share], forces)))
+            sums[f"{n}.{word}"] = laws.WaveCombination(tuple(product([share], forces)))
         return replace(result, results=result.results | sums)
 
     def finer_mesh(
@@ -369,12 +369,12 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
-    missing = (integrate_running(elastic, closing) - gained).sum(axis=0)
+    missing = (integrate_cumulatively(elastic, closing) - gained).sum(axis=0)
     entries = {"stored in the contact": float(energy[:, -1].sum())}
     if (before := float(energy[:, 0].sum())) > 0.0:
         entries["stored in the contact at the start"] = before
     if normal.damping or normal.pace:
-        damped = integrate_running(force - elastic, closing)[:, -1]
+        damped = integrate_cumulatively(force - elastic, closing)[:, -1]
         entries["damped in the contact"] = float(damped.sum())
     v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
     mass = getattr(other.keys, "mass", 0.0) if other else 0.0

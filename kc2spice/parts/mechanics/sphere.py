@@ -22,7 +22,7 @@ from kc2spice.core.quantities import (
     Velocity,
     invalid_value_error,
 )
-from kc2spice.core.waveforms import Waveforms, integrate_running
+from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
@@ -299,7 +299,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             forces[name] = acting[name, pin]
         total, turnover, entries = np.zeros_like(t), 0.0, dict[str, float]()
         for name, force in forces.items():
-            work = integrate_running(force * v, t)
+            work = integrate_cumulatively(force * v, t)
             total += work
             turnover += float(np.trapezoid(np.abs(force * v), t))
             entries[f"work of the {name}"] = float(work[-1])

@@ -137,7 +137,7 @@ def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list
                     model, _ = make_surrogate(law.model, (0.0, stop))
                 except SimulationError:
                     model = law.model
-            bodies[id(law.model)] = replace(law, model=model, known={})
+            bodies[id(law.model)] = replace(law, model=model, responses={})
         return replace(bodies[id(law.model)], name=law.name)
 
     return [

@@ -15,7 +15,7 @@ from itertools import chain
 
 import numpy as np
 
-from kc2spice.core.laws import PortBody, evaluate_readings
+from kc2spice.core.laws import PortBody, evaluate_combinations
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
@@ -154,8 +154,8 @@ def solve_full_differences(
                 )
                 for system in systems
             )
-        ours = evaluate_readings(network.readings, first.waves, first.time)
-        other = evaluate_readings(reduced.readings, second.waves, second.time)
+        ours = evaluate_combinations(network.results, first.waves, first.time)
+        other = evaluate_combinations(reduced.results, second.waves, second.time)
         apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
         results = {name: ours[name] - other[name] for name in ours}
         return Difference(first.time, results, np.array(apart), run.events)

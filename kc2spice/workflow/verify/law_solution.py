@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import evaluate_readings, scaled_wave
+from kc2spice.core.laws import evaluate_combinations, scaled_wave
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of
 from kc2spice.equations.replay import select_networks_to_solve
@@ -71,7 +71,7 @@ def solve_laws(
     grid = np.unique(np.concatenate([times, *(run.time for run in results)]))
     data = {"time": grid}
     for network, run in runs:
-        data |= evaluate_readings(network.readings, replace(run, time=grid).waves, grid)
+        data |= evaluate_combinations(network.results, replace(run, time=grid).waves, grid)
     balances = [run.energy for run in results]
     turnover = sum(balance.turnover for balance in balances)
     imbalance = sum(abs(balance.residual) for balance in balances) / turnover if turnover else None
@@ -87,8 +87,8 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
         if build.has_noise:
             data |= _solve_noise(network, build, points)
         else:
-            data |= evaluate_readings(
-                network.readings, _solve_steady_waves(network, build, points), points
+            data |= evaluate_combinations(
+                network.results, _solve_steady_waves(network, build, points), points
             )
     return Waveforms(data, {})
 
@@ -97,7 +97,7 @@ def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str
     """Return the noise density of the output; empty if the output is not in this network."""
     name = str(build.scene.analysis.output)
     law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in scene_laws(build).links}
-    output = network.readings.get(name)
+    output = network.results.get(name)
     if output is None and name in law_pins:
         output = scaled_wave(law_pins[name])
     if output is None or output.rate or law_of(output.terms[0][1]) not in network.names:
