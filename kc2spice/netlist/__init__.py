@@ -1,3 +1,3 @@
-"""Netlists: reading, checking, changing and writing for every simulator."""
+"""Netlists: parsers, checks, transformations and printers for all simulators."""
 
 from kc2spice.netlist.library import read_lib as read_lib

@@ -13,15 +13,15 @@ from kc2spice.netlist.expression import Tree, parse_expression, probed_names
 from kc2spice.netlist.spelling import format_number
 
 SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
-# Number of nodes, keyed by element letter. X depends on its subcircuit; E and G have two nodes if
-# they are behavioural.
+# Number of nodes, keyed by element letter. The number of an X element depends on its subcircuit.
+# Behavioural E and G elements have only two nodes.
 NODE_COUNTS = {
     "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
     "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
 }  # fmt: skip
-# elements whose card has a .model name after the nodes and controls
+# Letters of elements whose card has the name of a .model after nodes and controlling elements.
 MODEL_KINDS = frozenset("dqjmzsw")
-# number of controlling sources or inductors after the nodes
+# Number of controlling sources or inductors after the nodes, keyed by element letter.
 CONTROL_COUNTS = {"f": 1, "h": 1, "w": 1, "k": 2}
 
 
@@ -29,9 +29,9 @@ CONTROL_COUNTS = {"f": 1, "h": 1, "w": 1, "k": 2}
 class Card:
     """Statement of a netlist with the comment and blank lines above it.
 
-    ``notes`` are these lines. Error messages quote ``where``, which is ``file:line``, and
-    ``written``, the text on one line. ``owner`` is the part of the scene that contains the
-    statement.
+    ``notes`` are the comment and blank lines. Error messages quote ``where``, which is
+    ``file:line``, and ``written``, the text of the statement on one line. ``owner`` is the part of
+    the scene that the statement belongs to.
     """
 
     notes: tuple[str, ...] = ()
@@ -47,20 +47,20 @@ class Card:
     def error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
-        """Return the error for this card; ``got`` is by default the card as written."""
+        """Return an error about this card, which quotes ``got`` or by default the whole card."""
         got = got or self.written[:80]
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
 
 @dataclass(frozen=True)
 class Element(Card):
-    """Device with its ``nodes``, controlling ``sources`` and ``model``.
+    """Element of a netlist with its ``nodes``, controlling ``sources`` and ``model``.
 
-    ``kind`` is its letter in lower case, ``values`` are the words after the nodes, ``parameters``
-    the assignments after the values. A behavioural source (B, or E and G with an expression) has
-    the ``quantity`` V or I that its ``expression`` gives. Names keep their letter case.
-    ``unit`` is the unit of the values if it differs from the unit of the simulator (V, A, Ohm, F,
-    H).
+    ``kind`` is the element letter in lower case. ``values`` are the words after the nodes, and
+    ``parameters`` the assignments after the values. For a behavioural source (B, or E and G with an
+    expression), the ``quantity`` V or I is the result of ``expression``. Names are stored in their
+    original letter case. ``unit`` is the unit of the values if it differs from the unit of the
+    simulator (V, A, Ohm, F, H).
     """
 
     kind: str
@@ -76,15 +76,15 @@ class Element(Card):
 
     @classmethod
     def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
-        """Return the element with a name, nodes, controls, and model or values.
+        """Return the element with a name, nodes, controlling elements, and model or values.
 
         Parameters
         ----------
         name : str
-            Name of the element. The first letter of the name is the kind of the element.
+            Name of the element. The first letter of the name determines the kind of the element.
         *words : str or float
-            Words after the name. Numbers are spelled by
-            :func:`kc2spice.netlist.spelling.format_number`.
+            Words after the name. The function :func:`kc2spice.netlist.spelling.format_number`
+            converts numbers to text.
         **parameters : str
             Assignments after the words.
 
@@ -108,11 +108,11 @@ class Element(Card):
 
     @classmethod
     def behaviour(cls, name: str, plus: str, minus: str, quantity: str, law: str) -> Element:
-        """Return the behavioural source of a current I or a voltage V by an expression."""
+        """Return the behavioural source whose current I or voltage V is an expression."""
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
     def with_unit(self, unit: str) -> Element:
-        """Return the same element with values in this unit."""
+        """Return a copy of the element, whose values are in this unit."""
         return replace(self, unit=unit)
 
     @cached_property
@@ -136,7 +136,7 @@ class Element(Card):
 
         Raises
         ------
-        UsageError : the text is no expression.
+        UsageError : the text is not an expression.
         """
         return parse_expression(self.expression, where=self.where)
 
@@ -145,13 +145,13 @@ class Element(Card):
         """Nodes whose voltages the expression reads; empty if the expression is invalid."""
         try:
             return probed_names(self.law, "v") if self.quantity else frozenset()
-        except UsageError:  # the netlist check reports this error
+        except UsageError:  # the check of the netlist reports an invalid expression
             return frozenset()
 
 
 @dataclass(frozen=True)
 class Model(Card):
-    """Statement ``.model``: type and parameters."""
+    """Statement ``.model`` with a name, a type and parameters."""
 
     name: str
     type: str
@@ -177,7 +177,7 @@ class Function(Card):
 
 @dataclass(frozen=True)
 class Directive(Card):
-    """Any other statement with a dot: its keyword in lower case and the words after it."""
+    """Any other dot statement: its keyword in lower case, and the words after the keyword."""
 
     keyword: str
     words: tuple[str, ...] = ()
@@ -190,10 +190,10 @@ class Directive(Card):
 
 @dataclass(frozen=True)
 class Circuit(Card):
-    """Subcircuit, or the content of a file (empty ``name``).
+    """Subcircuit, or the content of a file if ``name`` is empty.
 
-    ``defaults`` are the parameters that an instance may set, ``closing`` the comments after the
-    last item.
+    ``defaults`` are the parameters that an instance may set, with their default values. ``closing``
+    are the comments after the last item.
     """
 
     name: str = ""
@@ -204,11 +204,11 @@ class Circuit(Card):
 
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
-        """Subcircuits that the circuit defines."""
+        """Subcircuits whose definitions are items of this circuit."""
         return items_of(self.items, Circuit)
 
     def changed(self, change: Callable[[Item], Item]) -> Circuit:
-        """Return the circuit with each item changed, items of subcircuits first."""
+        """Return the circuit with ``change`` applied to each item, inside subcircuits first."""
         inner = (i.changed(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 
@@ -219,20 +219,21 @@ Value = TypeVar("Value")
 
 
 def lower_names(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values keyed by names in lower case, as simulators compare names."""
+    """Return the values with all keys in lower case, because simulators ignore letter case."""
     return dict(zip(map(str.lower, values), values.values(), strict=True))
 
 
 def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the items of one class in their order, such as all elements."""
+    """Return the items of one class, such as all elements, in their order."""
     return tuple(item for item in items if isinstance(item, kind))
 
 
 @dataclass(frozen=True)
 class Pin:
-    """Pin of a subcircuit, with the meaning of 1 V and 1 A.
+    """Pin of a subcircuit, with the quantities that 1 V and 1 A represent.
 
-    A signal pin has the flow ``"-"``.
+    ``unit`` is what 1 V on the pin represents, and ``flow`` what 1 A represents; ``"-"`` for a
+    signal pin.
     """
 
     name: str
@@ -247,7 +248,7 @@ class Pin:
 
 @dataclass(frozen=True)
 class Param:
-    """Parameter of a subcircuit: its default in ``unit`` and its range."""
+    """Parameter of a subcircuit, with its default value in ``unit`` and its range."""
 
     name: str
     default: float
@@ -258,10 +259,10 @@ class Param:
 
 
 def electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
-    """Return pins whose volts and amperes represent volts and amperes."""
+    """Return electrical pins: 1 V represents 1 V, and 1 A represents 1 A."""
     return tuple(Pin(name, "V", "A") for name in names)
 
 
 def positive_parameter(name: str, default: float, unit: str, doc: str) -> Param:
-    """Return a parameter that must be positive."""
+    """Return a parameter whose value must be positive."""
     return Param(name, default, unit, doc, low=SMALLEST_POSITIVE)

@@ -1,4 +1,4 @@
-"""Decks as data: instances, options, analysis and results."""
+"""Decks as data structures: instances, options, analysis and results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 @dataclass(frozen=True)
 class Option:
-    """Entry of ``.options`` with its reason; a flag has an empty ``value``."""
+    """Entry of ``.options`` with the reason for it; a flag has an empty ``value``."""
 
     key: str
     value: str | float
@@ -43,7 +43,7 @@ class Option:
 
     @property
     def card(self) -> Directive:
-        """Card with the reason above it."""
+        """Card of the option, with the reason as a comment above the card."""
         word = f"{self.key}={self.text}" if self.text else self.key
         return Directive(
             ".options", (word,), notes=(f"* {self.key}: {format_comment(self.reason)}",)
@@ -53,26 +53,26 @@ class Option:
 # default options of ngspice
 RELTOL = 1e-3
 CHGTOL = 1e-14
-# smallest step of a dc sweep in V or A; ngspice ends a sweep within 2.2e-13
+# V or A, smallest step of a dc sweep; ngspice compares with the end of the sweep within 2.2e-13.
 SMALLEST_SWEEP_STEP = 1e-12
 MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per decade in 32 bits
 
 
 @dataclass(frozen=True)
 class Command:
-    """Analysis: its kind and the numbers of its card."""
+    """Analysis command: the kind of the analysis, and the words after it on its card."""
 
     kind: str
     words: tuple[str, ...]
 
     @property
     def card(self) -> str:
-        """Text of the card."""
+        """Text of the analysis card."""
         return self.directive.text
 
     @property
     def directive(self) -> Directive:
-        """Card of the analysis."""
+        """Statement of the analysis."""
         return Directive(f".{self.kind}", self.words)
 
 
@@ -80,8 +80,8 @@ class Command:
 class Measure:
     """Card ``.meas`` of an analysis ``kind``, with the conversion factor to SI.
 
-    ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card; its only
-    word is the vector that the deck prints.
+    ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card: its only
+    word is the name of the vector that the deck prints.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Measure:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """Card of the measurement, and a second card that converts its value to SI if needed."""
+        """Card of the measurement, and if needed a second card that converts to SI units."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
@@ -111,31 +111,32 @@ def transient_command(stop: float, max_step: float, *, uic: bool) -> Command:
 
 
 def ac_command(start: float, stop: float, points: int, scale: str) -> Command:
-    """Return the ``.ac`` analysis at about ``points`` frequencies [Hz]."""
+    """Return the ``.ac`` analysis at about ``points`` frequencies [Hz] of a range."""
     return Command("ac", _format_range(start, stop, points, scale))
 
 
 def noise_command(
     output: str, source: str, start: float, stop: float, points: int, scale: str
 ) -> Command:
-    """Return the ``.noise`` analysis of the voltage ``output`` at the same frequencies as ``.ac``.
+    """Return the ``.noise`` analysis of the voltage ``output``.
 
-    Every point contains the noise of each device. The simulator needs the name of a ``source`` for
-    the equivalent input noise.
+    The frequencies are those of :func:`ac_command`. At each frequency, the result contains the
+    noise of each device. The simulator needs the name of a ``source`` for the equivalent input
+    noise.
     """
     return Command("noise", (output, source, *_format_range(start, stop, points, scale), "1"))
 
 
 def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
-    """Return the words of a frequency range."""
+    """Return the words of a frequency range on an analysis card."""
     decades = 0.0 if scale == "linear" else math.log10(stop / start)
-    if points > MAX_POINTS_PER_DECADE * decades:  # a narrow range has linear spacing
+    if points > MAX_POINTS_PER_DECADE * decades:  # linear spacing in a narrow range
         return "lin", str(points), format_number(start), format_number(stop)
     return "dec", str(math.ceil(points / decades)), format_number(start), format_number(stop)
 
 
 def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
-    """Return a small-signal ``command`` with other, equally spaced frequencies [Hz]."""
+    """Return a small-signal ``command`` with a new range of equally spaced frequencies [Hz]."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
     words = (*reference, *_format_range(start, stop, points, "linear"), *last)
@@ -143,14 +144,14 @@ def with_frequencies(command: Command, start: float, stop: float, points: int) -
 
 
 def dc_command(source: str, first: float, last: float, points: int) -> Command:
-    """Return the ``.dc`` sweep of a source, in the unit of the source.
+    """Return the ``.dc`` sweep of a source from ``first`` to ``last``, in the unit of the source.
 
-    The simulator sums the steps. The range is a quarter of a step longer, so that rounding does not
-    remove the last point.
+    The simulator adds the steps up, with rounding errors. The end of the range is a quarter of a
+    step beyond ``last``, so that the last point is not lost.
 
     Raises
     ------
-    UsageError : a step so small that ngspice continues beyond the end of the range.
+    UsageError : the step is so small that ngspice continues beyond the end of the range.
     """
     step = (last - first) / (points - 1)
     if abs(step) < SMALLEST_SWEEP_STEP:
@@ -167,16 +168,20 @@ def dc_command(source: str, first: float, last: float, points: int) -> Command:
 class Deck:
     """Testbench with its libraries.
 
-    ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
-    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms of each sum.
-    ``stop`` and ``max_step`` are the last time point and the largest step [s] of a transient, None
-    otherwise. ``refinements`` are further analyses of the kind of ``command``, whose points are
-    added to its points. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes per SI
-    unit of the swept key. A deck of the user has a ``text``, its syntax ``tree`` if known, and
-    ``more`` included files. ``controlled`` states whether a controller may close a loop, which some
-    simulators resolve only with short steps. A ``trusted`` deck runs with a warning if the
-    simulator ignores or replaces something in it. Nets that are ``free`` may have only one
-    connection. The simulator evaluates the ``measures``, for runs without a raw file.
+    ``parts`` are the subcircuits, each in a library file. ``vectors`` maps the name of each result
+    to an ngspice expression and the factor to SI units. ``units`` contains the SI units of the
+    results, and ``powers`` the terms of each result that is a power.
+
+    In a transient, ``stop`` is the last time point [s] and ``max_step`` the largest time step [s].
+    ``refinements`` are further analyses of the kind of ``command``; their points and the points of
+    ``command`` are joined. In a dc analysis, ``sweep_scale`` volts or amperes of the source
+    correspond to one SI unit of the swept key. ``measures`` are measurements that the simulator
+    evaluates, for runs without a raw file.
+
+    A deck that the user has written has a ``text``, the syntax ``tree`` if known, and the texts of
+    included files in ``more``. If ``controlled`` is true, a controller may close a loop, and some
+    simulators need short time steps. If a simulator ignores or replaces statements of a ``trusted``
+    deck, the run only prints a warning. Nets in ``free`` need no second connection.
     """
 
     name: str
@@ -216,7 +221,7 @@ class Deck:
 
     @property
     def saved_vectors(self) -> tuple[str, ...]:
-        """Vectors of all results in ngspice, without repetitions."""
+        """Names of the ngspice vectors of all results, without repetitions."""
         result = dict[str, None]()
         for expression, _ in self.vectors.values():
             result |= dict.fromkeys(map(itemgetter(1), split_terms(expression)))
@@ -224,7 +229,7 @@ class Deck:
 
     @property
     def files(self) -> dict[str, str]:
-        """Texts of the deck and its libraries, keyed by file name."""
+        """Texts of the deck file and of its libraries, keyed by file name."""
         libraries = dict(map(attrgetter("filename", "text"), self.parts))
         return {self.main: self._print_main} | libraries | dict(self.more)
 
@@ -242,7 +247,7 @@ class Deck:
 
     @cached_property
     def trees(self) -> dict[str, Circuit]:
-        """Syntax trees of the deck and its libraries, keyed by file name.
+        """Syntax trees of the deck file and of its libraries, keyed by file name.
 
         Raises
         ------
@@ -261,17 +266,17 @@ class Deck:
 
     @cached_property
     def scope(self) -> Scope:
-        """Complete circuit with all included files.
+        """Scope of the complete circuit with all included files.
 
         Raises
         ------
-        UsageError : an invalid card, a missing or circular include, a name defined twice.
+        UsageError : an invalid card, a missing or circular include, or a name with two definitions.
         """
         return scoped(self.circuit, self.trees, self.main)
 
     @cached_property
     def _parse_text(self) -> Circuit:
-        """Return the syntax tree of a deck of the user."""
+        """Return the syntax tree of a deck that the user has written."""
         return self.tree or read_cards(self.text or "", self.main, title=True)
 
     @cached_property
@@ -292,9 +297,9 @@ class Deck:
         )
 
     def printed_for(self, *usage: str) -> Circuit:
-        """Return the tree of the main file with the comment ``usage`` about running the file.
+        """Return the tree of the main file with ``usage``, a comment on how to run the file.
 
-        The header of a user's deck is unchanged.
+        The tree of a deck that the user has written is returned unchanged.
         """
         if self.text is not None:
             return self.circuit
@@ -322,7 +327,7 @@ class Deck:
         for vector in self.saved_vectors:
             yield Directive(".save", (vector,))
         if self.command.kind == "noise":
-            yield Directive(".save", ("onoise_total",))  # vector of the second plot
+            yield Directive(".save", ("onoise_total",))  # a vector of the second ngspice plot
         yield from self._measure_cards(
             "" if usage != self._usage_comment else ", which ngspice prints without -r"
         )
@@ -336,23 +341,23 @@ class Deck:
 
     @property
     def _refinement_cards(self) -> Iterator[Item]:
-        """Cards of the further analyses."""
+        """Cards of the analyses in ``refinements``."""
         return map(attrgetter("directive"), self.refinements)
 
     @property
     def _pin_units(self) -> set[str]:
-        """Units of the pins of the libraries and of the values of the elements."""
+        """Units of library pins and of element values in the deck."""
         pins = chain.from_iterable(part.pins for part in self.parts)
         elements = items_of(self.items, Element)
         return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
     def _available_measures(self) -> list[Measure]:
-        """Measurements of this kind of analysis."""
+        """Measurements of the deck's kind of analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measure_cards(self, printed: str) -> Iterator[Line]:
-        """Yield the cards of the measurements, below a comment that ends with ``printed``."""
+        """Yield the cards of the measurements, below a comment whose last words are ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
@@ -360,7 +365,7 @@ class Deck:
 
     @property
     def _print_cards(self) -> Iterator[Line]:
-        """Cards of printed values: the measurements of an ``op``, and two vectors."""
+        """Cards that print values: the measurements of an ``op`` analysis, and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"
@@ -381,29 +386,29 @@ class Deck:
         return self._replace_tree(tree, command=command, refinements=())
 
     def read_option(self, key: str, default: float) -> float:
-        """Return the number of an option, with or without a scale factor."""
+        """Return the value of a numeric option; its text may have a scale factor."""
         text = self.option_value(key)
         value = literal_value(text, where=self.main) if text else None
         return default if value is None else value
 
     @property
     def reltol(self) -> float:
-        """Relative error limit of a time step."""
+        """Relative error limit of a time step (option ``reltol``)."""
         return self.read_option("reltol", RELTOL)
 
     @property
     def chgtol(self) -> float:
-        """Limit of the charge error of a time step [C]."""
+        """Limit of the charge error of a time step [C] (option ``chgtol``)."""
         return self.read_option("chgtol", CHGTOL)
 
     def option_value(self, key: str) -> str | None:
-        """Return the value of an option, None if the deck does not set it."""
+        """Return the value of an option; None if the deck does not set the option."""
         result = None
         for card in items_of(self.circuit.items, Directive):
             for word in card.words if card.keyword in OPTION_CARDS else ():
                 name, _, value = word.partition("=")
                 if name.lower() == key and value:
-                    result = value  # of repeated options, the last one is effective
+                    result = value  # the last one of repeated options is effective
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
@@ -415,7 +420,7 @@ class Deck:
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
-        """Return the deck with another tree of its main file."""
+        """Return the deck with ``tree`` as the tree of its main file."""
         return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
@@ -439,12 +444,12 @@ def _keyword(item: Item) -> str:
 
 
 def _find_analysis(items: Sequence[Item]) -> int | None:
-    """Return the index of the first analysis, None if there is none."""
+    """Return the index of the first analysis; None if the items contain no analysis."""
     return next((k for k, item in enumerate(items) if _keyword(item) in ANALYSES), None)
 
 
 def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:
-    """Return the tree with ``cards`` above its analysis."""
+    """Return the tree with ``cards`` inserted above its first analysis."""
     at = _find_analysis(tree.items)
     if at is None or not cards:
         return tree

@@ -1,7 +1,7 @@
-"""Decks edited by the user, and their differences from the deck of a scene.
+"""Decks that the user has edited, and their differences from the deck of a scene.
 
-The input is the deck of a scene and an edited file. The output is a record of the different
-parameters, cards and options. :mod:`kc2spice.workflow.edited_parts` applies these differences to
+The input is the deck of a scene and the edited file. The output is a list of parameters, cards and
+options that differ. The module :mod:`kc2spice.workflow.edited_parts` applies these differences to
 the parts.
 """
 
@@ -31,9 +31,9 @@ from kc2spice.netlist.scope import Scope, has_vector
 
 
 class ParameterEdit(NamedTuple):
-    """Parameter of an instance with its old and its new value.
+    """Parameter of a subcircuit instance with its old value and its new value.
 
-    An expression has the value NaN.
+    The value of an expression is NaN.
     """
 
     name: str
@@ -50,9 +50,9 @@ class InstanceEdit:
     subcircuit : str
         Name of the subcircuit in the edited deck.
     has_other_cards : bool
-        Whether the cards of that subcircuit differ, inner subcircuits included.
+        Whether cards in the definition of the subcircuit differ, inner subcircuits included.
     parameters : tuple of ParameterEdit
-        Parameters with another value.
+        Parameters whose values differ.
     """
 
     subcircuit: str
@@ -62,19 +62,20 @@ class InstanceEdit:
 
 @dataclass(frozen=True)
 class DeckEdits:
-    """Edited deck with its differences from the deck of a scene.
+    """Edited deck, and its differences from the deck of the scene.
 
     Attributes
     ----------
     deck : Deck
         The edited deck with the results of the scene.
     options : mapping of str to tuple of two texts or None
-        Old and new value of each accuracy option that differs; None is the default.
+        Old and new value of each accuracy option that differs. None stands for the default value.
     cards : mapping of str to str
-        Parts whose cards differ, with the reason. The keys of these parts no longer describe the
-        deck. Further names are new cards and instances with other nodes.
+        Reason for each difference, keyed by the names of parts whose cards differ, of new cards,
+        and of instances with other nodes. The scene keys of these parts no longer describe the
+        deck.
     instances : mapping of str to InstanceEdit
-        Differences of each instance that both decks have, by its name in lower case.
+        Differences of each instance that exists in both decks, keyed by its name in lower case.
     """
 
     deck: Deck
@@ -86,14 +87,14 @@ class DeckEdits:
 def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     """Read a netlist that was edited after the export of its ``original`` deck.
 
-    The text of included files replaces their include lines. A netlist that could execute programs
-    or write files is rejected, unless the original is trusted.
+    Each include line is replaced by the content of the included file. A netlist that could execute
+    programs or write files is rejected, unless the original deck is trusted.
 
     Raises
     ------
     UsageError : the file is missing, a line could execute programs or write files, a card changes
-    the meaning of the parts, the analysis differs from that of the scene, or a required vector is
-    not saved or does not exist.
+        the meaning of the parts, the analysis differs from the scene's analysis, or a required
+        vector is not saved or does not exist.
     """
     if path.suffix == ".toml":
         raise UsageError(
@@ -133,7 +134,7 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
 
     Raises
     ------
-    UsageError : the analysis differs from that of the ``original``, or the deck has several.
+    UsageError : the analysis differs from the analysis of the ``original``, or there are several.
     """
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
@@ -152,11 +153,11 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
 
 
 def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Reject a deck that saves some vectors, but not all vectors of the results.
+    """Reject a deck whose ``.save`` cards omit a vector of the scene's results.
 
     Raises
     ------
-    UsageError : lists the missing vectors.
+    UsageError : vectors are missing; the message lists them.
     """
     saved: set[Trace | None] = set()
     for card in cards:
@@ -174,7 +175,7 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
 
 
 def _read_stop(original: Deck, analysis: Statement) -> float | None:
-    """Return the end of a transient [s] from its card, None for any other analysis.
+    """Return the end of a transient [s] from its card; None for any other analysis.
 
     Raises
     ------
@@ -191,7 +192,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
 
 
 def _read_max_step(original: Deck, analysis: Statement) -> float | None:
-    """Return the largest step of a transient [s] from its card, None without one."""
+    """Return the largest step of a transient [s] from its card; None if not on the card."""
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None
@@ -199,11 +200,12 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
 
 
 def _require_results(before: Scope, edited: Deck, path: Path) -> None:
-    """Reject a deck without the nodes and devices of the results.
+    """Reject a deck that lacks nodes or devices of the scene's results.
 
     Raises
     ------
-    UsageError : lists the vectors, and the card that restores a current.
+    UsageError : nodes or devices are missing; the message lists them, and for a missing current the
+        card to restore.
     """
     now = edited.scope
     _require_instances(before, now, path)
@@ -232,15 +234,15 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck in which the card of a part was deleted and not replaced.
+    """Reject a deck without the card of a part, unless the deck contains new cards.
 
     Raises
     ------
-    UsageError : names the card.
+    UsageError : a card is missing; the message names it.
     """
     old, new = before.elements_by_key, now.elements_by_key
     if new.keys() - old.keys():
-        return  # the user is responsible for the replacement
+        return  # the user may replace a card by new cards
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name
@@ -255,12 +257,12 @@ def _require_instances(before: Scope, now: Scope, path: Path) -> None:
 def _compare_options(
     original: Deck, cards: Iterable[Statement]
 ) -> dict[str, tuple[str | None, str | None]]:
-    """Return the old and new values of accuracy options that differ."""
+    """Return the old and the new value of each accuracy option that differs."""
     before = {item.key: item.text for item in original.options if item.key not in PRINT_OPTIONS}
     now = accuracy_options(cards)
 
     def parse_value(text: str | None) -> float | str | None:
-        """Return the value of an option as a number if possible."""
+        """Return the value of an option as a number, or as text if it is no number."""
         parse_number = literal_value(text) if text else None
         return text if parse_number is None else parse_number
 
@@ -273,9 +275,9 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return the parts whose cards differ, with the reason.
+    """Return the reason for each part whose cards differ, keyed by name.
 
-    Differences in the parameters or the subcircuit of an instance are ignored.
+    Differences in the parameters of an instance, or in its subcircuit, are ignored.
     """
     old, new = before.elements_by_key, now.elements_by_key
     result = {}
@@ -286,26 +288,26 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
             result[owner] = f"the deck has no card {a.name}"
         elif a is None or b is None or _element_content(a) != _element_content(b):
             result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
-        elif a.ends != b.ends:  # the keys also describe an instance with other nodes
+        elif a.ends != b.ends:  # the scene keys remain valid for an instance with other nodes
             name = key if key.startswith("x") else owner
             result[name] = f"its card {a.name} is joined otherwise"
     return result
 
 
 def _element_content(card: Element) -> str:
-    """Return a card without its nodes, and without the parameters of an instance."""
+    """Return an element without its nodes; of an instance, also without its parameters."""
     plain = replace(card, nodes=())
     return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)
 
 
 def normalise_element(card: Element) -> str:
-    """Return the content of a card without irrelevant blanks and brackets."""
+    """Return the content of an element without irrelevant blanks and brackets."""
     plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
     return Printer().element(plain)
 
 
 def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
-    """Return the differences of all instances whose subcircuits both circuits define."""
+    """Return the differences of all instances that exist in both circuits."""
     result = {}
     edited = now.elements_of("x")
     for key, card in before.elements_of("x").items():
@@ -324,10 +326,10 @@ def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
 def _compare_parameters(
     before: Mapping[str, str], now: Mapping[str, str]
 ) -> Iterator[ParameterEdit]:
-    """Yield the instance parameters that have different values."""
+    """Yield the parameters whose values differ between two instances."""
 
     def parse_number(text: str | None) -> float:
-        """Return the number of a parameter; NaN for an expression."""
+        """Return the numeric value of a parameter; NaN for an expression."""
         parse_value = None if text is None else literal_value(text)
         return math.nan if parse_value is None else parse_value
 

@@ -1,4 +1,4 @@
-"""Lists of cards with comments, and cards that several parts use."""
+"""Functions that attach comments to cards, and cards that several parts share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypeAlias
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.spelling import format_comment
 
-# Card, or one or more comment and blank lines above a card.
+# A card, or a text of one or more comment and blank lines above a card.
 Line: TypeAlias = Item | str
 
 _PIVOT_COMMENT = (
@@ -19,7 +19,7 @@ _PIVOT_COMMENT = (
 
 
 def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
-    """Return the cards, each with the comments directly above it."""
+    """Return the cards, each with its preceding comments."""
     result: list[Item] = []
     notes: list[str] = []
     for line in lines:
@@ -33,9 +33,9 @@ def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
 
 
 def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
-    """Return the cards of an ``owner`` below a blank line and a title.
+    """Return the cards of the part ``owner`` below a blank line and a title comment.
 
-    The title states the units of values that are not V, A, Ohm, F or H.
+    The comment also states the units of element values, except V, A, Ohm, F and H.
     """
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
@@ -51,8 +51,8 @@ def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item,
 def pivot_cards(base: str) -> Iterator[Line]:
     """Yield cards that make ngspice choose its pivots in a short first step.
 
-    ngspice chooses pivots at its first step. Pivots of a long step lose digits in the picoseconds
-    of an impact, until no step converges.
+    ngspice chooses the pivots of the matrix at its first step. With pivots for a long step,
+    rounding errors become so large in the picosecond steps of an impact that no step converges.
     """
     yield _PIVOT_COMMENT
     yield Element.of("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")

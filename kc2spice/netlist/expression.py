@@ -1,4 +1,4 @@
-"""Expression trees of sources and parameters, and names of result vectors."""
+"""Expression trees of source laws and parameters, and names of result vectors."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
-# EVERYWHERE: functions of all simulators. FUNCTIONS: functions of behavioural sources in ngspice,
-# whose statistical function ``limit`` returns 0. BUILT_IN: constants of ngspice.
+# COMMON_FUNCTIONS exist in all simulators. FUNCTIONS are the functions of behavioural sources in
+# ngspice, except the statistical function ``limit``, which returns 0. BUILT_IN_NAMES are constants
+# of ngspice.
 COMMON_FUNCTIONS = frozenset((
     "abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
     "sinh", "sqrt", "tan", "tanh",
@@ -32,21 +33,21 @@ _OPERATOR_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", 
 _PRECEDENCE: dict[str, int] = {}
 for _rank, _operators in enumerate(_OPERATOR_LEVELS):
     _PRECEDENCE |= dict.fromkeys(_operators, _rank)
-# Powers of ten of the scale factors after a number.
+# Exponents of ten of the scale factors after a number.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
 MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
 
 
 @dataclass(frozen=True)
 class Number:
-    """Number as it was written, without suffix letters."""
+    """Number in the original spelling, without suffix letters."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Name:
-    """Parameter, or a keyword such as ``time``."""
+    """Name of a parameter, or a keyword such as ``time``."""
 
     text: str
 
@@ -61,7 +62,7 @@ class CircuitVariable:
 
 @dataclass(frozen=True)
 class Call:
-    """Function call; the name is in lower case."""
+    """Function call; the name of the function is in lower case."""
 
     function: str
     arguments: tuple[Tree, ...]
@@ -69,7 +70,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Unary:
-    """Sign or negation of an operand."""
+    """Sign or logical negation of an operand."""
 
     op: str
     value: Tree
@@ -97,7 +98,7 @@ Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
-    """Return the tree of ``text``; braces and quotes around parts are ignored.
+    """Return the tree of ``text``; braces and quotes around subexpressions are ignored.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def parse_expression(text: str, *, where: str = "expression") -> Tree:
 
 
 def literal_value(text: str, *, where: str = "expression") -> float | None:
-    """Return the value of a number with its scale factor; None for other expressions.
+    """Return the value of a number with a scale factor; None for other expressions.
 
     Raises
     ------
@@ -120,22 +121,23 @@ def literal_value(text: str, *, where: str = "expression") -> float | None:
 
 
 def walk_tree(tree: Tree) -> Iterator[Tree]:
-    """Yield the tree and all its subtrees."""
+    """Yield a tree and all its subtrees."""
     yield tree
     for child in operands_of(tree):
         yield from walk_tree(child)
 
 
 def operands_of(tree: Tree) -> tuple[Tree, ...]:
-    """Return the direct operands of ``tree``."""
+    """Return the operands of the outermost operation of ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 
 
 def probed_names(tree: Tree, kind: str) -> frozenset[str]:
-    """Return the nodes in lower case whose voltages (``"v"``) an expression reads.
+    """Return the nodes whose voltages an expression reads (``kind`` is ``"v"``).
 
-    For the ``kind`` ``"i"``, return the devices whose currents the expression reads.
+    If ``kind`` is ``"i"``, return the devices whose currents the expression reads. The names are in
+    lower case.
     """
     result = set[str]()
     for leaf in walk_tree(tree):
@@ -145,7 +147,7 @@ def probed_names(tree: Tree, kind: str) -> frozenset[str]:
 
 
 def map_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    """Return ``tree`` with each direct operand changed."""
+    """Return ``tree`` with ``change`` applied to the operands of its outermost operation."""
     if isinstance(tree, Call):
         return Call(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
@@ -173,7 +175,7 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
 
     Raises
     ------
-    UsageError : a parameter without a value, or an expression of voltages or currents.
+    UsageError : a parameter has no value, or the expression contains voltages or currents.
 
     Examples
     --------
@@ -205,14 +207,14 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
 
 
 def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """Return ``tree`` with each name replaced by its tree."""
+    """Return ``tree`` with each name in ``values`` replaced by its tree in ``values``."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
     return map_operands(tree, lambda node: substitute_names(node, values))
 
 
 class Writer:
-    """Writer of expression trees; dialects override the spelling."""
+    """Writer that converts expression trees to text; dialects override the spelling."""
 
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
@@ -223,7 +225,11 @@ class Writer:
         return f"{function}({', '.join(map(self.write, arguments))})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of ``tree``, in parentheses if the context needs them."""
+        """Return the text of ``tree``.
+
+        The text is in parentheses if the outermost operator has a lower precedence than
+        ``level``.
+        """
         match tree:
             case Number(text):
                 return text
@@ -270,7 +276,7 @@ class _Parser:
         )
 
     def peek_token(self) -> re.Match[str] | None:
-        """Return the next token without consuming it."""
+        """Return the next token, but do not consume the token."""
         return _TOKEN.match(self.text, self.at)
 
     def accept(self, *ops: str) -> str | None:
@@ -296,7 +302,7 @@ class _Parser:
         return Choice(test, yes, self.parse_choice())
 
     def level(self, depth: int) -> Tree:
-        """Parse binary operators of one precedence level."""
+        """Parse binary operations of one precedence level."""
         left = self.parse_unary()
         while (result := self.peek_token()) and _PRECEDENCE.get(result["op"], -1) >= depth:
             self.at = result.end()
@@ -330,7 +336,7 @@ class _Parser:
         raise self.error("something expected")
 
     def parse_name_or_call(self, name: str) -> Tree:
-        """Parse the text after a name: a function call or nothing."""
+        """Parse a name, or a function call if a parenthesis follows the name."""
         if self.accept("(") is None:
             return Name(name)
         if name.lower() in ("v", "i"):
@@ -356,18 +362,19 @@ def _remove_scale_factor(literal: str, suffix: str) -> str:
     if suffix.lower().startswith("mil"):
         return repr(float(plain) * MIL)
     power = next(power for key, power in PREFIXES.items() if suffix.lower().startswith(key))
-    return repr(float(Decimal(plain).scaleb(power)))  # rounded once
+    return repr(float(Decimal(plain).scaleb(power)))  # only one rounding
 
 
-# --- results: voltages of nodes and currents of devices, also inside instances ---
+# --- vectors of results: voltages of nodes and currents of devices, also inside instances ---
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Saved vector: the voltage of one or two nodes, or the current of a device.
+    """Saved vector: voltage of a node or between two nodes, or current of a device.
 
-    ``quantity`` is ``v`` of the nodes ``names``, such as ``xa.xb.node``, or ``i`` of the device
-    ``names[0]`` inside the instances ``path``. ``parameter`` names the current of the device.
+    If ``quantity`` is ``v``, ``names`` are the nodes, such as ``xa.xb.node``. If ``quantity`` is
+    ``i``, ``names[0]`` is the device and ``path`` contains the nested instances that contain the
+    device. ``parameter`` is the name of the current among the parameters of the device.
     """
 
     quantity: str
@@ -376,13 +383,13 @@ class Trace:
     parameter: str = ""
 
     def within(self, instance: str) -> Trace:
-        """Return the vector of the same node or device inside an instance."""
+        """Return the vector of this node or device inside an instance of the circuit."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))
 
     def __str__(self) -> str:
-        """Return the ngspice name; the letter of an inner device precedes its path."""
+        """Return the ngspice name, in which the device letter precedes the path of instances."""
         device = ".".join([self.names[0][0], *self.path, *self.names] if self.path else self.names)
         if self.parameter:
             return f"@{device}[{self.parameter}]"
@@ -390,9 +397,10 @@ class Trace:
 
 
 def parse_vector(text: str) -> Trace | None:
-    """Return the vector that a text describes, None for other text.
+    """Return the vector that a text describes; None for any other text.
 
-    The vector may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.
+    The text may be ``v(node)``, ``v(a,b)``, the name of a node, ``i(source)`` or
+    ``@device[parameter]``.
     """
     text = text.strip("\"'")
     head, _, inside = text.partition("(")
@@ -415,14 +423,14 @@ def _parse_device(text: str, parameter: str) -> Trace:
 
 
 def split_terms(expression: str) -> list[tuple[float, str]]:
-    """Return the signs and vectors of a sum.
+    """Return the signs and the vectors of the terms of a sum.
 
-    ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``.
+    The result for ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``.
     """
     result = filter(None, expression.replace("-", "+-").split("+"))
     return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in result]
 
 
 def join_terms(signed: Iterable[tuple[float, str]]) -> str:
-    """Return the sum of signed vectors, the inverse of :func:`split_terms`."""
+    """Return the text of a sum of signed vectors, the inverse of :func:`split_terms`."""
     return "".join(("-" if sign < 0 else "+") + text for sign, text in signed).removeprefix("+")

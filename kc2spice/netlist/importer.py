@@ -1,4 +1,4 @@
-"""Translation of subcircuits from LTspice or PSpice to equivalent ngspice circuits.
+"""Translation of LTspice and PSpice subcircuits to equivalent ngspice subcircuits.
 
 Input and output are trees of :mod:`kc2spice.netlist.read`. Elements, functions and operators that
 ngspice lacks or interprets differently are replaced by equivalents. A construct without an
@@ -42,34 +42,35 @@ from kc2spice.netlist.expression import (
 )
 from kc2spice.netlist.spelling import split_infix_unit
 
-# Series resistance [Ohm] of an uncoupled inductor without ``Rser`` (LTspice help, L).
+# Ohm, series resistance of an uncoupled inductor without ``Rser`` (LTspice help, L).
 INDUCTOR_RESISTANCE = "1m"
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
 MIN_CONDUCTANCE = "1e-12"  # S, conductance of an ideal diode without Roff
 IDEAL_DIODE_PARAMETERS = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
-# Ratings and manufacturers in models, which LTspice only displays; VDMOS models have more of them.
+# Parameters of models that LTspice only displays: ratings and manufacturers. VDMOS models have
+# further ones.
 DISPLAYED_PARAMETERS = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
 VDMOS_DISPLAYED_PARAMETERS = DISPLAYED_PARAMETERS | {"qg", "ron", "vds"}
-# Ratings, manufacturers and part numbers of elements, which LTspice only displays (help, R, C and
-# L).
+# Parameters of elements that LTspice only displays: ratings, manufacturers and part numbers
+# (LTspice help, R, C and L).
 DISPLAYED_RATINGS = {
     "r": frozenset(("tol", "pwr", "mfg", "pn", "type")),
     "c": frozenset(("v", "irms", "mfg", "pn", "type")),
     "l": frozenset(("ipk", "irms", "mfg", "pn", "type")),
 }
-PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # ngspice model type with hysteresis
-# parameters of a behavioural source that affect time steps, not equations
+PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # ngspice types of switches with hysteresis
+# Parameters of a behavioural source that affect the time steps, but not the equations.
 STEP_CONTROL_PARAMETERS = frozenset(("tripdv", "tripdt"))
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _COMPARISONS = ("<", ">", "<=", ">=", "==", "!=")
 _LOGICAL_OPERATORS = ("&&", "||")
-# parasitics in parallel, which carry a part of the current of the element
+# Parasitics in parallel with an element, which carry a part of the element's current.
 _PARALLEL_PARASITICS = frozenset(("rpar", "cpar"))
-_METERED_KINDS = frozenset("bcdefghilrv")  # element letters whose current enters at the first node
+_METERED_KINDS = frozenset("bcdefghilrv")  # elements whose current enters at the first node
 _MAX_COMMENT = 98  # characters of a comment line
-_MAX_PRODUCT_POWER = 9  # integer exponents up to this value are written as products
+_MAX_PRODUCT_POWER = 9  # powers with integer exponents up to this value are written as products
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
 _NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
@@ -117,7 +118,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
 
 class _Scope:
-    """One circuit of the tree, with the models and functions that its elements can name."""
+    """Translator of one circuit, with all models and functions that the circuit can use."""
 
     def __init__(
         self,
@@ -135,14 +136,14 @@ class _Scope:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        # elements whose current an expression reads, and their meters
+        # ammeters of elements whose current an expression reads
         self.metered: dict[str, str] = {}
 
     def translated(self) -> Circuit:
-        """Circuit translated to ngspice."""
+        """Return the circuit in the syntax of ngspice."""
         groups = [(item, tuple(self._translate_item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item, group in groups:  # meters are named during the translation of expressions
+        for item, group in groups:  # here, self.metered is complete
             if isinstance(item, Element) and item.key in self.metered:
                 items += _add_meter(item, group, self.metered[item.key])
             else:
@@ -193,7 +194,7 @@ class _Scope:
             raise model.error("no model to begin with", model.type[4:], "a .model of this file")
         base = self._resolve_model(base)
         parameters = _model_parameters(base) | _model_parameters(model)
-        parameters.pop(base.type.lower(), None)  # the type, which is also written after ako:
+        parameters.pop(base.type.lower(), None)  # the type, which may also follow after ako:
         return replace(model, type=base.type, parameters=parameters)
 
     def _translate_model(self, model: Model) -> Iterable[Model]:
@@ -201,30 +202,30 @@ class _Scope:
         model = self._resolve_model(model)
         kind = model.type.lower()
         if self._is_ideal_diode(model):
-            return ()  # diodes of this model are translated to sources
+            return ()  # its diodes are translated to current sources
         if self._is_gradual_switch(model):
-            return ()  # switches of this model are translated to sources
+            return ()  # its switches are translated to current sources
         if kind in PSPICE_SWITCHES and self.syntax == "pspice":  # switch with hysteresis
             model = replace(model, type=PSPICE_SWITCHES[kind])
         if kind in ("sw", "csw"):
             _require_simple_switch(model)
         displayed = VDMOS_DISPLAYED_PARAMETERS if kind == "vdmos" else DISPLAYED_PARAMETERS
         if self.syntax == "pspice":
-            displayed = displayed | {"t_abs"}  # ``T_ABS`` is set at each element instead
+            displayed = displayed | {"t_abs"}  # the elements of the model get ``T_ABS``
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
         return (replace(model, parameters=self._translate_values(computed, model)),)
 
     # --- elements ---------------------------------------------------------------------------------
 
     def _is_ideal_diode(self, model: Model) -> bool:
-        """Return whether the model is LTspice's piecewise linear diode."""
+        """Return whether the model is the piecewise linear diode of LTspice."""
         ideal = model.type.lower() == "d" and bool(
             _model_parameters(model).keys() & IDEAL_DIODE_PARAMETERS
         )
         return ideal and self.syntax == "ltspice"
 
     def _is_gradual_switch(self, model: Model) -> bool:
-        """Return whether the model is PSpice's switch with a smooth transition."""
+        """Return whether the model is a PSpice switch with a smooth transition."""
         hysteresis = _model_parameters(model).keys() & {"vt", "vh", "it", "ih"}
         is_switch = model.type.lower() in PSPICE_SWITCHES and self.syntax == "pspice"
         return is_switch and not hysteresis
@@ -289,14 +290,14 @@ class _Scope:
         return element
 
     def _translate_resistor(self, element: Element) -> Element:
-        """Translate a resistor defined by an expression to a current source."""
+        """Translate a resistor whose resistance is an expression to a current source."""
         law = self._translate_law(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
         return Element.behaviour(f"B{element.name}", plus, minus, "I", current)
 
     def _translate_source(self, element: Element) -> Iterable[Item]:
-        """Translate a behavioural source: its expression and the settings after it."""
+        """Translate a behavioural source: the expression and the settings after the expression."""
         law, settings = _split_settings(element.expression)
         result = [replace(element, expression=self._translate_law(law, element))]
         for name, value in settings.items():
@@ -314,7 +315,7 @@ class _Scope:
         return result
 
     def _translate_inductor(self, element: Element) -> Iterable[Item]:
-        """Translate an inductor with ``Rser`` in series, and ``Rpar`` and ``Cpar`` in parallel."""
+        """Translate an inductor with the parasitics ``Rser``, ``Rpar`` and ``Cpar``."""
         if "flux" in element.settings:
             raise element.error("a flux by an expression has no equal in ngspice")
         ideal = element.key in self.coupled or self.syntax == "pspice"
@@ -324,16 +325,16 @@ class _Scope:
 
 
 def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
-    """Insert a 0 V source in series with all items of an element."""
+    """Insert a 0 V source as ammeter in series with the translated items of an element."""
     plus, inner = element.nodes[0], f"{element.name}_metered"
     yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
-        assert isinstance(item, Element)  # an element is translated to elements
+        assert isinstance(item, Element)  # the translation of an element consists of elements
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
 def _move_ratings(element: Element) -> Element:
-    """Move the ratings of a resistor, capacitor or inductor to a comment above it."""
+    """Move the ratings of a resistor, capacitor or inductor to a comment above its card."""
     names = DISPLAYED_RATINGS.get(element.kind, frozenset())
     ratings = {name: text for name, text in element.parameters.items() if name.lower() in names}
     if not ratings:
@@ -345,7 +346,7 @@ def _move_ratings(element: Element) -> Element:
 
 
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
-    """Return an auxiliary element with the multiplicity of the original element."""
+    """Return a parasitic element with the multiplicity ``m`` of its main element."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
     made = Element.of(name, *words, **({} if name[0] in "Vv" else count))
     return replace(made, where=element.where, written=element.written)
@@ -360,7 +361,7 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
 
 
 def _translate_voltage(element: Element) -> Iterable[Item]:
-    """Translate a voltage source with ``Rser`` in series and ``Cpar`` in parallel."""
+    """Translate a voltage source with the parasitics ``Rser`` and ``Cpar``."""
     if any(word.lower().startswith("wavefile") for word in element.values):
         raise element.error("a source out of a sound file has no equal in ngspice")
     return _expand_parasitics(element, element.settings, ())
@@ -369,7 +370,7 @@ def _translate_voltage(element: Element) -> Iterable[Item]:
 def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
-    """Return the element without its parasitics, and an element for each parasitic."""
+    """Return the element without parasitics, and one additional element per parasitic."""
     parasitic = ("rser", "rpar", "cpar", *more)
     stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
     left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
@@ -405,10 +406,11 @@ def _is_zero(text: str) -> bool:
 def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
     """Translate an ideal diode to a current source.
 
-    With ``r(x, e) = x - e/2`` above ``e``, ``x^2 / (2 e)`` below and zero for negative ``x``:
-    ``i = goff v + (gon - goff) r(v - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``;
-    then ``i = Ilimit tanh(i / Ilimit)`` for positive ``i``, with ``RevIlimit`` for negative ``i``.
-    ``m`` diodes are in parallel, ``n`` in series.
+    The smooth ramp ``r(x, e)`` is zero for negative x, ``x^2 / (2 e)`` for x below e, and ``x -
+    e/2`` for larger x. The current of the diode at the voltage v is ``i = goff v + (gon - goff) r(v
+    - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``. It is limited to ``Ilimit tanh(i /
+    Ilimit)`` for positive ``i``, and with ``RevIlimit`` for negative ``i``. ``m`` diodes are in
+    parallel, and ``n`` diodes in series.
     """
     unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
     if unknown:
@@ -443,10 +445,11 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
 
 
 def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
-    """Translate PSpice's switch, whose conductance changes smoothly with its control.
+    """Translate a PSpice switch, whose conductance is a smooth function of its control.
 
-    ``R = Roff exp(-ln(Roff / Ron) u^2 (3 - 2 u))``, where ``u`` rises from 0 at ``Voff`` to 1 at
-    ``Von`` (PSpice reference guide, voltage-controlled switch, with its powers collected).
+    The resistance is ``R = Roff exp(-ln(Roff / Ron) u^2 (3 - 2 u))``. The variable ``u`` rises
+    linearly from 0 at ``Voff`` to 1 at ``Von`` (PSpice reference guide, voltage-controlled switch;
+    the terms of its formula are combined).
     """
     if element.kind == "s":
         control, on, off, default = f"V({','.join(element.nodes[2:])})", "von", "voff", "1"
@@ -473,7 +476,7 @@ def _make_source(element: Element, quantity: str, law: str) -> Element:
 
 
 def _table_points(element: Element) -> str:
-    """Return the points of LTspice's ``table=(x, y, ...)``; empty without a table."""
+    """Return the points of an LTspice ``table=(x, y, ...)``; empty without a table."""
     text = element.settings.get("table", "")
     for word in element.values:
         text = word[len("table") :] if word.lower().startswith("table(") else text
@@ -481,7 +484,7 @@ def _table_points(element: Element) -> str:
 
 
 def _ramp_expression(excess: str, model: Mapping[str, str], width: str) -> str:
-    """Return an expression with value 0 below 0, slope 1 above the width, a parabola between."""
+    """Return the expression of a ramp: 0 below 0, slope 1 above ``width``, a parabola between."""
     text = model.get(width, "0")
     if _is_zero(text):
         return f"max({excess}, 0)"
@@ -496,7 +499,7 @@ def _model_parameters(model: Model) -> dict[str, str]:
 
 
 def _require_simple_switch(model: Model) -> None:
-    """Reject switches with smooth transition, inductance, voltage or limit."""
+    """Reject a switch model with a smooth transition, inductance, voltage or limit."""
     words = _model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
     width = literal_value(words.get(name, "0"), where=model.where)
@@ -513,7 +516,7 @@ def _require_simple_switch(model: Model) -> None:
 
 
 def _split_settings(law: str) -> tuple[str, dict[str, str]]:
-    """Split a text into an expression and settings ``name=value``, keyed by names in lower case."""
+    """Split a text into an expression and a mapping of settings ``name=value``."""
     starts = list(_SETTING.finditer(law))
     if not starts:
         return law, {}
@@ -574,14 +577,14 @@ class _Translator:
             return name
         settings = _split_settings(element.expression)[1] | element.settings
         is_branch = element.kind in "vleh" or element.quantity == "V"
-        # ngspice computes the current of this element
+        # ngspice itself computes the current of this element
         if is_branch and not settings.keys() & _PARALLEL_PARASITICS:
             return name
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
     def _translate_call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
         """Translate a function call."""
-        if function in self.scope.functions:  # a .func of the user replaces a built-in function
+        if function in self.scope.functions:  # a user's .func replaces the built-in function
             return Call(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
             got = Writer().write(Call(function, arguments))
@@ -592,7 +595,7 @@ class _Translator:
         return Call(function, arguments) if rule is None else rule(*arguments)
 
     def _translate_power(self, base: Tree, power: Tree) -> Tree:
-        """Translate ``base ** power``; ngspice raises the absolute value to the power."""
+        """Translate ``base ** power``, because ngspice uses the absolute value of the base."""
         exponent = float(power.text) if isinstance(power, Number) else None
         if (
             exponent is not None
@@ -613,7 +616,7 @@ class _Translator:
 def _is_positive(tree: Tree) -> bool:
     """Return whether an expression cannot be negative.
 
-    These are positive numbers, parameters, and functions without negative values.
+    Such expressions are positive numbers, parameters, and functions without negative values.
     """
     return isinstance(tree, Number | Name) or (
         isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
@@ -621,21 +624,22 @@ def _is_positive(tree: Tree) -> bool:
 
 
 def _translate_condition(tree: Tree) -> Tree:
-    """Translate a condition; LTspice treats numbers above one half as true."""
+    """Translate a condition, which LTspice treats as true if it is above one half."""
     compared = isinstance(tree, Binary) and tree.op in (*_COMPARISONS, *_LOGICAL_OPERATORS)
     return tree if compared else Binary(">", tree, Number("0.5"))
 
 
 def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
-    """Translate ``limit`` to the median of three values."""
+    """Translate ``limit(x, a, b)``, which is the median of its three arguments."""
     low, high = Call("min", (a, b)), Call("max", (a, b))
     return Call("min", (Call("max", (x, low)), high))
 
 
 def _translate_table(x: Tree, *points: Tree) -> Tree:
-    """Translate a table to straight lines between points, constant outside.
+    """Translate a table to a piecewise linear function, constant outside of the table.
 
-    ``y1 + sum((y[k+1] - y[k]) share[k])``, the ``share`` of an interval is its part below ``x``.
+    The function is ``y1 + sum((y[k+1] - y[k]) share[k])``, where ``share[k]`` is the fraction of
+    the interval k that is below ``x``.
     """
     result = points[1]
     ends = list(zip(points[::2], points[1::2], strict=False))
@@ -648,22 +652,22 @@ def _translate_table(x: Tree, *points: Tree) -> Tree:
 
 
 def _translate_signed_power(x: Tree, power: Tree) -> Tree:
-    """Translate ``pwrs``: the power of the absolute value, with the sign of ``x``."""
+    """Translate ``pwrs``: the power of the absolute value of ``x``, with the sign of ``x``."""
     return Binary("*", Call("sgn", (x,)), Binary("^", Call("abs", (x,)), power))
 
 
 def _translate_whole_part(x: Tree) -> Tree:
-    """Translate ``int``: the value rounded towards zero."""
+    """Translate ``int``, which rounds a value towards zero."""
     return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
 
 
 def _translate_length(x: Tree, y: Tree) -> Tree:
-    """Translate ``hypot``: the square root of a sum of squares."""
+    """Translate ``hypot``, the square root of a sum of squares."""
     return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
 
 
 def _translate_square(x: Tree) -> Tree:
-    """Translate ``square``."""
+    """Translate ``square(x)``."""
     return Binary("*", x, x)
 
 

@@ -1,15 +1,16 @@
-"""Security check of netlists from users, which can execute programs, before simulation.
+"""Security check of a user's netlist, which could execute programs in the simulator.
 
-The simulator gets one text without includes. This module reads names, continuation lines and
-comments by the rules of the simulator. The text that it returns has line feeds as line ends and
-spaces as blanks. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
+The included files are merged into one text, which the simulator reads. This module reads names,
+continuation lines and comments by the rules of the simulator. In the merged text, lines end with a
+line feed and all blanks are spaces. Comments begin with ``*`` or ``;``, and continuation lines with
+``+``.
 
 Only known commands, element letters, options and file names are allowed. If the user trusts a
-circuit, its text is not changed.
+circuit, the text of the circuit is not changed.
 
-A part may define subcircuits only, because every other card acts on the whole deck. A function
-``max`` replaces ``max`` in all other cards. An option changes the accuracy of the run. An element
-connects to deck nodes with the same name.
+The file of a part may only define subcircuits, because every other card acts on the whole deck. For
+example, a definition of the function ``max`` changes all other cards that call ``max``. An option
+changes the accuracy of the run. An element is connected to deck nodes with the same name.
 """
 
 from __future__ import annotations
@@ -26,18 +27,18 @@ from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, split_statements
 from kc2spice.netlist.spelling import format_comment
 
-MAX_CIRCUIT_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
-MAX_INCLUDED_FILES = 64  # files of one circuit
-# The simulator accepts any word with this beginning, also after blanks.
+MAX_CIRCUIT_BYTES = 4_000_000  # bytes of one file, and characters of the merged text
+MAX_INCLUDED_FILES = 64  # largest number of files of one circuit
+# The simulator treats any word that begins with ".inc" as an include, also after blanks.
 _INCLUDE_LINE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
 _INCLUDE_TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
 _END_LINE = re.compile(r"(?i)\.end(?=\s|$)")
-_CONTINUATION_MARK = "\\\\"  # two backslashes at the end of a line continue it
+_CONTINUATION_MARK = "\\\\"  # two backslashes at a line's end: the next line continues it
 
 
 @dataclass(frozen=True)
 class Line:
-    """Line of a file: its position as ``file:line`` and its raw text."""
+    """Line of a file: its normalised ``text``, its position ``file:line``, its original text."""
 
     text: str
     where: str
@@ -46,29 +47,30 @@ class Line:
 
 @dataclass(frozen=True)
 class FlatCircuit:
-    """Circuit without includes, as one text."""
+    """Lines of a circuit, with included files in place of include lines."""
 
     file: str
     lines: tuple[Line, ...]
 
     @property
     def text(self) -> str:
-        """Lines as one text."""
+        """All lines as one text."""
         return "\n".join(map(attrgetter("text"), self.lines))
 
     def cards(self, *, title: bool = False) -> Iterator[Statement]:
-        """Cards, each on one line with its position ``file:line``."""
+        """Yield the cards, each on one line, with the position ``file:line`` of each card."""
         for card in split_statements(self.text, "", title=title):
             if card.written:
                 yield replace(card, where=self.lines[card.line - 1].where)
 
 
 def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = False) -> FlatCircuit:
-    """Return a circuit in which the content of files below ``home`` replaces the includes.
+    """Return a circuit in which the content of included files replaces the include lines.
 
-    With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
-    then reads an include that this function cannot read. With ``inside``, only files below
-    ``home`` are opened. This option is for circuits that the user does not trust yet.
+    The included files must be below the directory ``home``. With ``trust``, lines are copied
+    unchanged, and included files may be in any directory. An include line that this function cannot
+    resolve then remains for the simulator. With ``inside``, only files below ``home`` are opened;
+    this option is for circuits that the user does not trust yet.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = Fals
 
 @dataclass
 class _Reader:
-    """Reader of a circuit and its includes, which limits the number of files and bytes."""
+    """Reader of a circuit and its included files, with limits on their number and size."""
 
     main: Path
     home: Path
@@ -91,7 +93,7 @@ class _Reader:
     size: int = 0
 
     def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
-        """Yield the lines of the file ``path`` that the line ``where`` includes as ``name``."""
+        """Yield the lines of the file ``path``, which the line ``where`` includes as ``name``."""
         real = path.resolve()
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
@@ -113,7 +115,7 @@ class _Reader:
             file = path.parent / target
             try:
                 readable = file.is_file() and file.stat().st_size <= MAX_CIRCUIT_BYTES
-            except OSError:  # the name is too long, or the directory cannot be read
+            except OSError:  # a name that is too long, or an unreadable directory
                 readable = False
             if self.trust and (not target or not readable or self._is_outside(file)):
                 yield Line(raw, place, raw)
@@ -125,12 +127,12 @@ class _Reader:
             yield Line(end, place, end)
 
     def _is_outside(self, file: Path) -> bool:
-        """Return whether a file must not be opened, because it is not below ``home``."""
+        """Return whether a file is outside of ``home`` and must therefore not be opened."""
         outside = not file.resolve().is_relative_to(self.home.resolve())
         return outside and (self.inside or not self.trust)
 
     def _parse_include(self, rest: str, where: str, raw: str) -> str:
-        """Return the file of an include line: one word, or one quoted text."""
+        """Return the file name in an include line: one word, or one quoted text."""
         rest = split_comment(rest)[0].strip()
         result = _INCLUDE_TARGET.fullmatch(rest)
         target = next(filter(None, result.groups()), "") if result else ""
@@ -160,7 +162,7 @@ class _Reader:
             self.size += len(data)
             try:
                 text = data.decode("utf-8-sig")
-            except UnicodeDecodeError:  # files of many vendors encode micro signs in Latin-1
+            except UnicodeDecodeError:  # many vendors encode micro signs in Latin-1
                 text = data.decode("cp1252")
             return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
@@ -186,7 +188,7 @@ class _Reader:
 
 
 def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
-    """Return the error for a line ``text`` at ``where`` of the circuit ``path``."""
+    """Return the error for a forbidden line ``text`` at ``where`` in the circuit ``path``."""
     return UsageError(
         f"the included circuit {reason}",
         where=f"{path} ({where})" if where not in str(path) else str(path),
@@ -197,7 +199,7 @@ def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) ->
 
 
 def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
-    """Return a line in the common spelling, and whether the next line continues it."""
+    """Return a line in the common spelling, and whether the next line is a continuation."""
     line = raw.replace("\t", " ").strip(" ")
     if not line or line.startswith("*"):
         return line, goes_on
@@ -206,7 +208,7 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
     if follows:
         card = card[: -len(_CONTINUATION_MARK)].rstrip()
     if _END_LINE.match(card):
-        card, note = "", f"{card} {note}".rstrip()  # lines after .end are omitted
+        card, note = "", f"{card} {note}".rstrip()  # lines after .end have no effect
     if goes_on and card and not card.startswith("+"):
         card = f"+ {card}"
     if not card:
@@ -217,13 +219,13 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
 # --- cards that affect the whole deck ---
 
 # fmt: off
-# Names of every card, not only of sources.
+# Functions that exist on every card, not only on cards of sources.
 _FUNCTION_NAMES = FUNCTIONS.union((
     "agauss", "arctan", "atan2", "aunif", "db", "ddt", "gauss", "hypot", "i", "if", "int", "limit",
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
 ))
 _CONSTANT_NAMES = BUILT_IN_NAMES.union(("c", "echarge", "false", "kelvin", "planck", "true"))
-# Options that change only the printed output, not the computation.
+# Options that change only the printed output, and not the computation.
 PRINT_OPTIONS = frozenset((
     "acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post", "probe", "warn",
     "width",
@@ -237,14 +239,14 @@ _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and fu
 
 
 def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Check that a part file defines subcircuits only, and that an edited deck keeps its parts.
+    """Reject cards that change the deck outside of the part or line they belong to.
 
     Raises
     ------
-    UsageError : a global node, or a built-in function or constant that is defined again; in a part
-    file, an analysis, an output, a temperature, an option that affects results, or an element or
-    initial condition outside of every subcircuit; in a deck, results at interpolated times. The
-    error contains file and line.
+    UsageError : a global node, or a new definition of a built-in function or constant. In a part
+        file also: an analysis, an output, a temperature, an option that affects results, or an
+        element or initial condition outside of all subcircuits. In a deck also: results at
+        interpolated times. The error contains file and line.
     """
     depth, commands = 0, False
     for card in cards:
@@ -260,7 +262,7 @@ def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
 def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each effect of a card on the whole deck, the expected card, and the remedy."""
+    """Yield each effect of a card on the whole deck, with the expected content and a remedy."""
     key, options = card.keyword, accuracy_options((card,))
     if part and key in ANALYSES | _OUTPUT_COMMANDS:
         what = "contains an analysis" if key in ANALYSES else "contains an output command"
@@ -298,7 +300,7 @@ def _find_deck_effects(
 def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Return the values of options that affect results; ``""`` for a flag.
 
-    Of a repeated option, the last value is effective.
+    If an option is repeated, the last value is effective.
     """
     result: dict[str, str] = {}
     for card in cards:
@@ -348,22 +350,22 @@ _PROGRAM_WORDS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_sta
 def read_checked_circuit(
     path: Path, *, trust: bool = False, home: Path | None = None
 ) -> FlatCircuit:
-    """Return a circuit with its includes, after a check that it is safe.
+    """Return a circuit with its included files, after the security check.
 
     Parameters
     ----------
-    trust : whether the circuit is used without checks, because its user trusts it.
-    home : directory of the circuit and its includes, by default the directory of ``path``.
+    trust : whether the user trusts the circuit, so that the check is omitted.
+    home : directory of the circuit and of its included files, by default the directory of ``path``.
 
     Raises
     ------
     UsageError : the file is not text or too large, or a line could run a program, access a file, or
-    leave the directory of the circuit.
+        include a file outside of ``home``.
     """
     result = flatten_includes(path, home or path.parent, trust=trust)
     if trust:
         return result
-    for line in result.lines:  # raw lines, because hidden characters could change a card
+    for line in result.lines:  # original lines, because hidden characters change cards
         text = line.raw.rstrip("\r")
         for reason in _find_line_faults(text):
             quotation = repr(text) if _HIDDEN_CHARACTERS.search(text) else text
@@ -375,12 +377,12 @@ def read_checked_circuit(
 
 
 def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> FlatCircuit:
-    """Return the file ``name`` in the scene directory ``home`` with its includes.
+    """Return the netlist ``name`` in the scene directory ``home``, with included files.
 
     Raises
     ------
     UsageError : the file does not exist, could execute programs or open files (unless ``trust``),
-    or affects the deck outside its own subcircuits.
+    or affects the deck outside of the file's subcircuits.
     """
     reason = None if trust else explain_unsafe_name(name)
     if reason:
@@ -398,9 +400,9 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
 
 
 def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
-    """Return the file ``name`` unchanged, with its includes from ``home`` or below.
+    """Return the netlist ``name`` unchanged, with included files below ``home``.
 
-    The pins and nodes of the circuit are needed before its user trusts the file.
+    This function reads the pins and nodes of a circuit that the user does not trust yet.
 
     Raises
     ------
@@ -415,7 +417,7 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
 
 
 def _find_line_faults(text: str) -> Iterator[str]:
-    """Yield the faults of a physical line, which may be a continuation or comment."""
+    """Yield the faults of one line of the file, which may be a continuation or a comment."""
     if _HIDDEN_CHARACTERS.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
@@ -431,7 +433,7 @@ def _find_line_faults(text: str) -> Iterator[str]:
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:
-    """Yield the faults of a card with its continuation lines."""
+    """Yield the faults of a card, with all its continuation lines."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in ALLOWED_COMMANDS:

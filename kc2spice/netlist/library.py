@@ -1,4 +1,4 @@
-"""Libraries: subcircuits of parts with pins, units and parameters."""
+"""Library files: subcircuits of parts with pins, units and parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PARAMETER_LINE = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.
 
 @dataclass(frozen=True)
 class Header:
-    """Origin of a netlist: name of the scene, and hash of the input data."""
+    """Origin of a netlist: the name of the scene, and the hash of the input data."""
 
     scene: str
     scene_hash: str
@@ -46,7 +46,7 @@ class Header:
 
 
 def model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
-    """Return models, neglected effects and settings of a deck as comment lines."""
+    """Return comment lines about the models, neglected effects and settings of a deck."""
     error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
     settings = []
     for item in plan["settings"]:
@@ -68,10 +68,11 @@ def model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tu
 
 @dataclass(frozen=True)
 class ReductionSummary:
-    """Order, band and accuracy of the reduced model of a part.
+    """Number of states, band and accuracy of the reduced model of a part.
 
-    ``error_estimate`` is the relative error of the response in the ``norm``. The part
-    ``circuit_error`` of the error is due to the elements; it occurs at the frequency ``worst_hz``.
+    ``error_estimate`` is the relative error of the response in the ``norm``. It includes
+    ``circuit_error``, the difference between the circuit and its model, which is largest at the
+    frequency ``worst_hz``.
     """
 
     order: int
@@ -83,14 +84,14 @@ class ReductionSummary:
 
     @property
     def summary(self) -> str:
-        """Order, band and error estimate in one line; the estimate is rounded up."""
+        """Number of states, band and error estimate in one line; the estimate is rounded up."""
         low, high = map(format_number, self.band_hz)
         error = format_number(_round_up(self.error_estimate))
         return f"order={self.order} band={low}..{high} Hz norm={self.norm} error={error}"
 
 
 def _round_up(value: float) -> float:
-    """Round up to three digits, so that an error bound remains a bound."""
+    """Round a number up to three digits, so that an error bound remains a bound."""
     mantissa, _, exponent = f"{value:.2e}".partition("e")
     short = float(f"{mantissa}e{exponent}")
     return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
@@ -98,13 +99,14 @@ def _round_up(value: float) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Subcircuit:
-    """Part as a subcircuit: its ``.subckt`` in the ``circuit`` of a library file, and its pins.
+    """Subcircuit of a part, with its pins and parameters, in a library file.
 
+    ``circuit`` is the tree of the library file, which contains the ``.subckt`` with this ``name``.
     ``title`` is ``NAME: description``. ``file`` is the name of the library file if it differs from
     ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module, otherwise
-    empty. ``reduction`` is None if there is no reduced model. ``source`` is the text of a library
-    from another author; all other libraries are printed from their circuits. The first
-    ``head_lines`` comments above the circuit of this name are its header.
+    empty. ``reduction`` is None if the part has no reduced model. ``source`` is the text of a
+    library that another author has written; the text of all other libraries is printed from
+    ``circuit``. The first ``head_lines`` comments above the ``.subckt`` are the header.
     """
 
     name: str
@@ -120,7 +122,7 @@ class Subcircuit:
 
     @property
     def filename(self) -> str:
-        """Name of the library file with this part."""
+        """Name of the library file that contains this part."""
         return self.file or f"{self.name}.lib"
 
     @cached_property
@@ -130,15 +132,15 @@ class Subcircuit:
 
     @cached_property
     def located_tree(self) -> Circuit:
-        """Circuit in which each card has its text and its position in the library file."""
+        """Tree in which each card has its text and its position in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def changed(self, circuit: Circuit) -> Subcircuit:
-        """Return the part with another circuit."""
+        """Return the part with ``circuit`` as its tree."""
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
-        """Write the library file to a path, or under its default name into a directory."""
+        """Write the library file to a path, or into a directory under the default name."""
         path = Path(path)
         if path.is_dir():
             path = path / self.filename
@@ -156,8 +158,8 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     """Read the parts of a library file.
 
     The header of a subcircuit declares pins, units and parameters. A subcircuit without a header is
-    a part if no other subcircuit of the file instantiates it. The pins of this part are
-    electrical, and the parameters have no unit.
+    a part if no other subcircuit of the file instantiates the subcircuit. The pins of such a part
+    are electrical, and its parameters have no units.
 
     Parameters
     ----------
@@ -172,7 +174,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     Raises
     ------
     UsageError : the file is missing, is not text or contains no subcircuit, or a header contradicts
-    its subcircuit.
+        the ``.subckt`` card.
 
     Examples
     --------
@@ -209,7 +211,7 @@ def instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]
 
 
 def parameter_line(param: Param) -> str:
-    """Return the comment line of a parameter: default, unit, range and explanation."""
+    """Return the comment line with default, unit, range and explanation of a parameter."""
     bounded = math.isfinite(param.low) or math.isfinite(param.high)
     bounds = f" range={param.low:g}..{param.high:g}" if bounded else ""
     value = f"{checked_name(param.name)}={format_number(param.default)}"
@@ -218,7 +220,7 @@ def parameter_line(param: Param) -> str:
 
 
 def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """Return the parts in the text of a library file, like :func:`read_lib`."""
+    """Return the parts in the ``text`` of a library file, as :func:`read_lib` does for a path."""
     library = read_cards(text, file)
     parts = list(filter(parse_declared_pins, library.subcircuits))
     if not parts:
@@ -228,7 +230,7 @@ def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
 
 
 def _instantiated_names(circuit: Circuit) -> Iterator[str]:
-    """Yield the names of the subcircuits that a circuit instantiates, in lower case."""
+    """Yield the lower-case names of the subcircuits that a circuit instantiates."""
     for item in items_of(circuit.items, Element):
         if item.kind == "x":
             yield item.model.lower()
@@ -237,7 +239,7 @@ def _instantiated_names(circuit: Circuit) -> Iterator[str]:
 
 
 def join_comments(notes: Iterable[str]) -> list[str]:
-    """Return each comment in one line; three or more blanks mark a continuation."""
+    """Join continued comments; a continuation line begins with three or more blanks."""
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
 
@@ -247,11 +249,11 @@ def parse_declared_pins(circuit: Circuit) -> list[Pin]:
 
 
 def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
-    """Return a subcircuit of a library as a part.
+    """Return a subcircuit of a library file as a part.
 
     Raises
     ------
-    UsageError : the pins of the header and of the subcircuit differ.
+    UsageError : the pins in the header and on the ``.subckt`` card differ.
     """
     pins = parse_declared_pins(circuit)
     if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):

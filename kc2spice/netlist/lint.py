@@ -1,4 +1,4 @@
-"""Check of the wiring of a deck before a simulator reads the deck."""
+"""Check of the connections and names in a deck before a simulator reads the deck."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instan
 from kc2spice.netlist.spelling import split_infix_unit
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
-# Parasitic settings of LTspice elements, and the equivalent separate elements.
+# Parasitic settings on element cards of LTspice, and the equivalent separate elements.
 _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 
 
 def require_valid_wiring(deck: Deck) -> None:
-    """Raise an error for the first wiring mistake of ``deck`` with the number of mistakes.
+    """Raise an error about the first wiring mistake of ``deck``, which states their number.
 
     Raises
     ------
@@ -49,24 +49,24 @@ def require_valid_wiring(deck: Deck) -> None:
 def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
     """Return all wiring mistakes of ``deck``.
 
-    Mistakes are unknown subcircuits, models, parameters, nodes and controlling sources; a wrong
-    number of pins; repeated names in one scope; and nodes with only one connection.
+    Wiring mistakes are unknown subcircuits, models, parameters, nodes and controlling sources, a
+    wrong number of pins, repeated names in one scope, and nodes with only one connection.
 
     Raises
     ------
-    UsageError : the text cannot be parsed (missing include, invalid card, unclosed subcircuit).
+    UsageError : the deck cannot be parsed (missing include, invalid card, unclosed subcircuit).
     """
     try:
         if not _find_problems(deck, deck.trees, deck.scope):
             return []
-    except UsageError:  # the loop below raises the error again, with the position of its card
+    except UsageError:  # the second call raises this error again, with the position of the card
         pass
     top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
     return _find_problems(deck, deck.located_trees, top)
 
 
 def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
-    """Return the wiring mistakes of parsed circuits."""
+    """Return the wiring mistakes in parsed circuits."""
     signals = frozenset(_list_signal_pins(trees.values()))
     read = _saved_nodes(deck, top)
     read.setdefault(id(top), set()).update(deck.free)
@@ -78,9 +78,10 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
 
 
 def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
-    """Return the nodes inside subcircuits that the deck saves, such as ``v(x1.p)``.
+    """Return the nodes inside subcircuits whose voltages the deck saves, as ``v(x1.p)``.
 
-    The keys are identities of scopes. A node that is saved needs no second connection.
+    The keys are the identities (``id``) of the scopes that contain the nodes. A saved node needs no
+    second connection.
     """
     result: dict[int, set[str]] = {}
     for text in deck.saved_vectors:
@@ -93,7 +94,7 @@ def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
 
 
 def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
-    """Yield the subcircuit and name of each signal pin."""
+    """Yield the name of the subcircuit and the name of the pin for each signal pin."""
     for item in circuits:
         for pin in parse_declared_pins(item):
             if pin.flow == "-":
@@ -102,7 +103,7 @@ def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
 
 
 def _check_cards(scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes of the cards of a scope."""
+    """Yield the mistakes on the cards of a scope."""
     for part in scope.elements:
         first = scope.elements_by_key[part.key]
         if first is not part:
@@ -118,7 +119,7 @@ def _check_cards(scope: Scope) -> Iterator[UsageError]:
 
 
 def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes of a subcircuit instance."""
+    """Yield the mistakes on the card of a subcircuit instance."""
     called = scope.find(part.model)
     if called is None:
         near = _suggest_name(part.model, scope.subcircuits)
@@ -139,7 +140,7 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes in the model, parameters and sources of an element."""
+    """Yield the mistakes in the model, parameters and controlling sources of an element."""
     if part.model and part.model.lower() not in scope.models:
         yield part.error("no such model", part.model, _suggest_name(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():
@@ -152,7 +153,7 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
                 'syntax = "ltspice" of the netlist part',
             )
     for value in part.values:
-        if number := split_infix_unit(value):  # ngspice ends the number at the unit
+        if number := split_infix_unit(value):  # ngspice ignores all digits after the letter
             integer, unit, decimals = number
             message = f"ngspice reads {value} as {integer}{unit}"
             yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{unit}")
@@ -165,7 +166,7 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _list_expressions(card: Card) -> Iterator[str]:
-    """Yield the expressions of a card; the law is last."""
+    """Yield the expressions of a card; the law of a behavioural source is the last one."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):
@@ -181,10 +182,10 @@ def _list_expressions(card: Card) -> Iterator[str]:
 def _check_expression(
     card: Card, text: str, scope: Scope, kinds: Mapping[str, Collection[str]]
 ) -> Iterator[UsageError]:
-    """Yield the mistakes of an expression: unknown names, nodes and sources.
+    """Yield the mistakes in an expression: unknown names, nodes and sources.
 
-    ``kinds`` lists the known ones. In a law, functions that ngspice lacks or defines differently
-    are also mistakes.
+    ``kinds`` contains the known nodes (``v``) and sources (``i``). In the law of a behavioural
+    source, functions that ngspice lacks and odd powers are also mistakes.
     """
     law = isinstance(card, Element) and text is card.expression
     try:
@@ -217,10 +218,10 @@ def _check_expression(
 def _check_connections(
     scope: Scope, signals: frozenset[tuple[str, str]], read: Collection[str]
 ) -> Iterator[UsageError]:
-    """Yield an error for each node with one connection.
+    """Yield an error for each node with only one connection.
 
-    Exceptions are signal outputs, nodes in an output or in an expression, nodes named ``nc…``, and
-    nodes in ``read``, which the deck saves.
+    Nodes of signal outputs, nodes in an output command or in an expression, nodes named ``nc…``,
+    and the saved nodes in ``read`` may have only one connection.
     """
     uses = Counter(chain(scope.pins, *map(attrgetter("ends"), scope.elements)))
     watched = set(read)
@@ -246,12 +247,12 @@ def _check_connections(
 
 
 def _card_text(card: Card) -> str:
-    """Return the text of a card for an error message."""
+    """Return the text of a card."""
     return card.text if isinstance(card, Directive) else card.written
 
 
 def _suggest_name(name: str, known: Collection[str]) -> str | None:
-    """Return the most similar name, or all names of a short list, as a suggestion."""
+    """Suggest the most similar known name, or all known names if they are few."""
     near = difflib.get_close_matches(name.lower(), list(known), 1)
     if near:
         return f"{near[0]}, perhaps"

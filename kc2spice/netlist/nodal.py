@@ -1,8 +1,8 @@
-"""Nodal analysis of linear circuits: frequency response of a syntax tree.
+"""Frequency response of the syntax tree of a linear circuit, by nodal analysis.
 
-The equations follow from the elements of the tree and the parameters of an instance alone. These
-equations do not depend on the model behind the circuit (C.-W. Ho, A. Ruehli, P. Brennan, IEEE
-Trans. Circuits Syst. 22 (1975) 504).
+The equations follow only from the elements of the tree and the parameters of an instance. The
+response is therefore independent of the model that the circuit was made from (C.-W. Ho, A. Ruehli,
+P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
 from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
-# number of unknowns up to which dense matrices for all frequencies together are faster
+# Up to this number of unknowns, the solution of dense matrices for all frequencies together is
+# faster than sparse matrices.
 MAX_DENSE_UNKNOWNS = 60
 _BRANCH_KINDS = frozenset("vel")  # element letters whose current is an additional unknown
 
 
 @dataclass(frozen=True, eq=False)
 class NodalEquations:
-    """Equations ``(G + s C) x = b`` of node voltages, and currents of sources and inductors.
+    """Equations ``(G + s C) x = b`` of node voltages and currents of sources and inductors.
 
-    ``rows`` are the numbers of the unknowns, keyed by lower-case name, the current of an element as
-    ``i(NAME)``; this current flows from the first node of the element through the element to the
-    second node. Nodes at ground have no row. ``entries`` are rows, columns and values of G and of
-    C.
+    ``rows`` contains the number of each unknown, keyed by the lower-case name of a node or by
+    ``i(NAME)`` for the current of an element. The current flows through the element from its first
+    to its second node. Nodes at ground are no unknowns. ``entries`` are the rows, columns and
+    values of the entries of G and of C.
     """
 
     rows: Mapping[str, int]
@@ -40,12 +41,12 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """Return the ``answers`` (len(s), answers, loads) to each of the ``loads``.
+        """Return the unknowns ``answers`` (len(s), answers, loads) under each of the ``loads``.
 
-        A load is the current into each named node, or the voltage of each source ``i(NAME)``.
-        An answer at ground is zero.
+        A load is a set of currents into nodes, and of voltages of sources ``i(NAME)``. The voltage
+        of an answer at ground is zero.
         """
-        # imported here, because writing a library does not need these packages
+        # imported here, because these packages are not needed to write a library
         import scipy.sparse as sparse
         from scipy.sparse.linalg import splu
 
@@ -74,14 +75,14 @@ class NodalCircuit:
 
     Raises
     ------
-    UsageError : the subcircuit has another element.
+    UsageError : the subcircuit contains an element of another kind.
     """
 
     circuit: Circuit
 
     @cached_property
     def parameters(self) -> list[tuple[str, Tree]]:
-        """Expressions of the parameters in the order of the cards, keyed by lower-case name."""
+        """Expressions of the parameters, keyed by lower-case name, in the order of the cards."""
         result: list[tuple[str, Tree]] = []
         for card in items_of(self.circuit.items, Parameters):
             for key, text in card.values.items():
@@ -104,10 +105,9 @@ class NodalCircuit:
 
         Parameters
         ----------
-        values : parameters of the instance, by names in lower case; all others have their
+        values : parameters of the instance, keyed by lower-case name; all others have their
         defaults. grounded : pins of the instance at ground.
-        sources : further voltage sources from nodes to ground: the node of each source by its
-        name.
+        sources : additional voltage sources to ground: the node of each source, keyed by its name.
         """
         elements = list(self.elements)
         for name, node in sources.items():
@@ -123,7 +123,7 @@ class NodalCircuit:
         return NodalEquations(rows, tuple(map(_split_columns, stamps)))
 
     def _parameter_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values of all parameters, keyed by names in lower case."""
+        """Return the values of all parameters, keyed by lower-case name."""
         names: dict[str, float] = {}
         for key, text in self.circuit.defaults.items():
             names[key.lower()] = evaluate_parameter(parse_expression(text), {})
@@ -136,7 +136,7 @@ class NodalCircuit:
 def _number_unknowns(
     elements: Iterable[tuple[Element, object]], grounded: Collection[str]
 ) -> dict[str, int]:
-    """Return the number of each unknown: node voltages, then currents of elements."""
+    """Number the unknowns: first the node voltages, then the currents of elements."""
     nodes, currents = dict[str, None](), []
     for item, _ in elements:
         nodes |= dict.fromkeys(item.ends)
@@ -174,10 +174,11 @@ def _parse_value(item: Element) -> Tree | float:
 def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
     """Yield the entries of an element in the matrices G and C of ``G x + C dx/dt``.
 
-    Each consists of the matrix (0 is G, 1 is C), equation, unknown and value.
+    An entry consists of the number of the matrix (0: G, 1: C), the number of the equation, the
+    number of the unknown, and the value.
 
-    The equation of a node is the sum of the currents that leave it. The equation of a current is
-    the constitutive equation of its element.
+    The equation of a node states that the sum of the currents out of the node is zero. The equation
+    of a current is the constitutive equation of the element with this current.
     """
     a, b = item.ends[:2]
     if item.kind in "rc":

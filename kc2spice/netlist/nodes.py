@@ -1,6 +1,6 @@
 """Descriptions of the nodes of a deck.
 
-The part that contains a node, and the pins next to the node.
+A description names the part that contains the node, and the nearest pins.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from kc2spice.netlist.scope import Scope, find_instance
 def describe_node(deck: Deck, node: str) -> str | None:
     """Describe a node of a deck: the part that contains it and the nearest pins.
 
-    ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
-    the current of a source. The result is None if the deck does not have this node.
+    ``node`` has the spelling of ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch``
+    for the current of a source. The result is None if the deck does not contain this node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
-    if path and len(path[0]) == 1:  # name of a device: its letter precedes the instance
+    if path and len(path[0]) == 1:  # the letter of a device precedes its instance
         del path[0]
     try:
         scope = find_instance(deck.scope, tuple(path))
@@ -41,9 +41,10 @@ def describe_node(deck: Deck, node: str) -> str | None:
 
 
 def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """Describe an instance by its title, and the pin that belongs to an inner node.
+    """Describe an inner node by the title of its instance and by the pin it belongs to.
 
-    The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
+    The name of an inner node or element ends with the name of a pin: ``fring0`` belongs to
+    ``ring0``.
     """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
     pins = part.pins if part else electrical_pins(scope.pins)

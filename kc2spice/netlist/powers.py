@@ -1,7 +1,7 @@
-"""Powers of parts and pins as products of two results.
+"""Powers of parts and pins, which are products of two results.
 
-A :class:`PowerTerm` names the results. :func:`add_powers` computes the powers from the waves of a
-run.
+A :class:`PowerTerm` contains the names of both results. :func:`add_powers` computes the powers from
+the waves of a run.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from kc2spice.core.waveforms import Waveforms, differentiate
 class PowerTerm(NamedTuple):
     """Power [W] as the product of two results.
 
-    One quantity is ``across`` pins and the other flows ``through`` these pins; the ``law`` depends
-    on their domain.
+    ``across`` is the name of the quantity across the pins, ``through`` the name of the quantity
+    through the pins. The formula ``law`` depends on the domain of the pins.
     """
 
     across: str
@@ -34,9 +34,9 @@ class PowerTerm(NamedTuple):
 
 
 def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> Waveforms:
-    """Return the waves and these powers.
+    """Return the waves with the computed powers added.
 
-    A power is the instantaneous power, or in ``ac`` the mean over a period.
+    A power is the instantaneous power, or in an ``ac`` analysis the mean over a period.
     """
     result = dict(waves.data)
     for name, terms in powers.items():
@@ -45,10 +45,10 @@ def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> W
 
 
 def _compute_power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
-    """Return a power over the scale of the waves.
+    """Compute one power term over the scale of the waves.
 
-    The mean of a heat flow over a period is zero. A mechanical power at the operating points of a
-    sweep is also zero, because nothing moves.
+    In an ``ac`` analysis, the mean of a heat flow over a period is zero. In a dc sweep, a
+    mechanical power is zero, because nothing moves at an operating point.
     """
     through = waves[term.through]
     if term.law == "through":

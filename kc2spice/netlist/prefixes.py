@@ -1,9 +1,10 @@
-"""Numbers with SI prefixes, such as ``24.9u``, that ngspice reads without rounding error.
+"""Numbers with scale factors, such as ``24.9u``, that ngspice reads without rounding error.
 
-ngspice reads digits as one integer and multiplies it by a power of ten. Rounding makes ``100n``
-another double than ``1e-07``, but ``100.00n`` the same. A parameter is multiplied by its scale
-factor and printed with 16 digits before that. Both were measured on ngspice 39: 1500 random numbers
-agree with :func:`read_value` and :func:`read_parameter` in every bit.
+ngspice reads the digits of a number as one integer, and multiplies the integer by a power of ten.
+Because of rounding, ``100n`` is not the same double as ``1e-07``, but ``100.00n`` is. Of a
+parameter, ngspice first multiplies the number by its scale factor, and prints the product with 16
+digits. Tests with 1500 random numbers on ngspice 39 agree with :func:`read_value` and
+:func:`read_parameter` in every bit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from itertools import chain
 
 from kc2spice.netlist.expression import PREFIXES
 
-# numbers in this range are written without a prefix
+# numbers between these limits are written without a scale factor
 SMALLEST_PLAIN = Decimal("0.1")
 LARGEST_PLAIN = 1000
 _FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
@@ -37,7 +38,7 @@ def read_value(text: str) -> float:
 
 
 def read_parameter(text: str) -> float:
-    """Return the double that ngspice reads from the value of a parameter."""
+    """Return the double that ngspice reads from a number that is the value of a parameter."""
     match = _DIGIT_PARTS.fullmatch(text)
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
@@ -45,9 +46,9 @@ def read_parameter(text: str) -> float:
 
 
 def with_prefix(text: str) -> str:
-    """Return a number with an SI scale factor if this is exact, otherwise unchanged.
+    """Return a number with a scale factor if ngspice reads the same double.
 
-    Names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
+    Other texts, names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
 
     Examples
     --------
@@ -72,7 +73,7 @@ def with_prefix(text: str) -> str:
 
 
 def abbreviate(value: float, digits: int = 4) -> str:
-    """Return a rounded number with its prefix, for comments.
+    """Return a rounded number with a scale factor, for comments.
 
     Examples
     --------
@@ -89,7 +90,7 @@ def abbreviate(value: float, digits: int = 4) -> str:
 def _spell_number(number: Decimal, power: int) -> Iterator[str]:
     """Yield spellings of a number with the scale factor of a power of ten.
 
-    Further zeros may be rounded to another double.
+    The spellings differ in trailing zeros, and ngspice may round them to different doubles.
     """
     mantissa = number.scaleb(-power).normalize()
     if abs(mantissa) >= SMALLEST_PLAIN:
@@ -101,5 +102,5 @@ def _spell_number(number: Decimal, power: int) -> Iterator[str]:
 
 
 def with_prefixes(text: str) -> str:
-    """Return a word of a card, such as a waveform, in which all numbers have prefixes."""
+    """Return a word of a card, such as a waveform, with a scale factor after each number."""
     return _EMBEDDED_FLOAT.sub(lambda match: with_prefix(match[0]), text)

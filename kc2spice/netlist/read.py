@@ -1,4 +1,4 @@
-"""Parser of netlists from users, templates and libraries into syntax trees."""
+"""Parser that converts netlists of users, templates and libraries to syntax trees."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from kc2spice.netlist.expression import literal_value
 
 _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
-THERMAL_FLAG = "thermal"  # flag of an ngspice VDMOS with temperature pins (ngspice manual 11.3)
+THERMAL_FLAG = "thermal"  # flag of a VDMOS with temperature pins (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPENING_BRACKETS = "({["
 _CLOSING_BRACKETS = ")}]"
-_INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment after a card
+_INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a card
 
 
 # --- logical lines ---
@@ -48,36 +48,37 @@ _INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment afte
 
 @dataclass(frozen=True, kw_only=True)
 class Statement(Card):
-    """Logical line: ``written`` is the card with its continuation lines, without comments.
+    """Logical line of a netlist: a card, joined with its continuation lines.
 
-    ``line`` is the number of the first physical line, counted from 1.
+    ``written`` is the text of the card without comments. ``line`` is the number of the first
+    physical line, counted from 1.
     """
 
     line: int
 
     @property
     def keyword(self) -> str:
-        """First word in lower case; ``""`` if the line has comments only."""
+        """First word of the card in lower case; ``""`` if there are only comments."""
         return self.written.split(None, 1)[0].lower() if self.written else ""
 
     @cached_property
     def words(self) -> list[str]:
-        """Words of the card; text in brackets or quotes and ``a = b`` count as one word."""
+        """Words of the card; a text in brackets or quotes, and ``a = b``, are one word each."""
         return split_words(self.written)
 
     @property
     def plain_words(self) -> list[str]:
-        """Words without the keyword ``params:`` of some dialects."""
+        """Words of the card without the keyword ``params:`` of some dialects."""
         return [word for word in self.words if word.lower() != "params:"]
 
 
 def split_statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
-    """Return all statements of a file in order; the last one may have comments only.
+    """Return all statements of a file in order; the last one may have only comments.
 
-    With ``title`` the first line is the title of a deck and counts as a comment.
+    If ``title`` is true, the first line is the title of a deck, which is treated as a comment.
     """
-    result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
-    pending: list[str] = []  # comment lines after the newest statement
+    result: list[tuple[int, list[str], list[str]]] = []  # line number, comments, pieces
+    pending: list[str] = []  # comment lines after the latest statement
     lines = split_lines(text)
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
@@ -99,14 +100,15 @@ def split_statements(text: str, file: str, *, title: bool = False) -> list[State
 def split_words(text: str) -> list[str]:
     """Split a text at blanks outside of brackets and quotes.
 
-    Blanks around a bare ``=`` are dropped.
+    Blanks around ``=`` are removed.
     """
-    # Only the first of several blanks can begin a match, so that the time is linear.
+    # A match can begin only at the first of several blanks, so that the time is proportional to the
+    # length of the text.
     return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 
 def split_comment(line: str) -> tuple[str, str]:
-    """Return a line without its comment, and the text of the comment."""
+    """Split a line into the text before its comment and the text of the comment."""
     match = _INLINE_COMMENT.search(line)
     if match is None:
         return line.strip(), ""
@@ -162,9 +164,10 @@ def build_tree(cards: Iterable[Statement]) -> Circuit:
 def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Return the items up to the ``.ends`` of ``head``, and the comments above the ``.ends``.
+    """Return the items up to the ``.ends`` of a subcircuit, and the comments above ``.ends``.
 
-    Without ``head`` they are the items up to the end of the file.
+    ``head`` is the card that begins the subcircuit. Without ``head``, the function reads up to the
+    end of the file.
     """
     result: list[Item] = []
     for s in cards:
@@ -211,7 +214,7 @@ def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
 
 
 def _read_card(s: Statement) -> Item:
-    """Read one card that is neither a subcircuit nor a control block."""
+    """Read one card that does not begin a subcircuit or a control block."""
     origin = _card_origin(s)
     if not s.keyword.startswith("."):
         return parse_element(s)
@@ -229,12 +232,15 @@ def _read_card(s: Statement) -> Item:
 
 
 def _card_origin(s: Statement) -> dict[str, Any]:
-    """Return file and line of a card, its text, and the comments above it."""
+    """Return file and line of a card, the text of the card, and the comments above the card."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
 
 def _read_function(s: Statement) -> Function | None:
-    """Read ``.func f(x) {law}`` or ``.param f(x) = {law}``, otherwise return None."""
+    """Read the function on a card ``.func f(x) {law}`` or ``.param f(x) = {law}``.
+
+    The result is None for other cards.
+    """
     name, opening, rest = s.written[len(s.keyword) :].strip().partition("(")
     inside, closing, law = rest.partition(")")
     if not (opening and closing and law.strip() and name.strip().isidentifier()):
@@ -245,7 +251,7 @@ def _read_function(s: Statement) -> Function | None:
 
 
 def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
-    """Return the values of assignments ``name=value``, keyed by name, in their order."""
+    """Return the values of assignments ``name=value``, keyed by name, in the given order."""
     pairs = {}
     for item in items:
         word = item.strip(",")
@@ -263,13 +269,13 @@ def _is_assignment(word: str) -> bool:
 
 
 def _split_assignment(word: str) -> tuple[str, str]:
-    """Return name and value of an assignment; a word without a value is a flag."""
+    """Return name and value of an assignment; the value of a flag is empty."""
     name, _, value = word.partition("=")
     return name, value
 
 
 def parse_element(s: Statement) -> Element:
-    """Split the card of an element; for an unknown letter, all words are values."""
+    """Parse the card of an element; for an unknown element letter, all words are values."""
     kind, origin = s.written[0].lower(), _card_origin(s)
     if kind == "b":
         return _read_behaviour(s)
@@ -309,13 +315,13 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
     if kind == "m":
         words = [*takewhile(lambda w: "=" not in w, rest)]
         if words[-1:] and words[-1].lower() == THERMAL_FLAG:
-            return len(words) - 2  # a VDMOS with the temperatures of junction and case
+            return len(words) - 2  # a VDMOS with pins for the temperatures of junction and case
         return 3 if len(words) == 4 else 4  # a VDMOS has no bulk
     return NODE_COUNTS[kind]
 
 
 def _read_behaviour(s: Statement) -> Element:
-    """Read a B source, whose expression extends to the end of the card."""
+    """Read the card of a B source, whose expression extends to the end of the card."""
     name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
@@ -328,9 +334,10 @@ def _read_behaviour(s: Statement) -> Element:
 
 
 def _read_controlled_source(part: Element) -> Element:
-    """Return an E or G source in any syntax with its law as one expression.
+    """Return an E or G source of any syntax as a behavioural source with one expression.
 
-    A Laplace transform is unchanged, because it is not a function of time.
+    A source with a Laplace transform is returned unchanged, because the transform is not a function
+    of time.
     """
     text = " ".join(part.values)
     keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
@@ -343,7 +350,7 @@ def _read_controlled_source(part: Element) -> Element:
 
 
 def _remove_braces(law: str) -> str:
-    """Return an expression without the braces that enclose it."""
+    """Return an expression without enclosing braces."""
     law = law.strip()
     inner = law[1:-1]
     depths = accumulate((ch == "{") - (ch == "}") for ch in inner)
@@ -352,10 +359,10 @@ def _remove_braces(law: str) -> str:
 
 
 def _read_polynomial(text: str, where: str) -> str:
-    """Return the polynomial ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
+    """Return the polynomial source ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
 
-    The coefficients are sorted by degree, and products of one degree by the order of their
-    factors.
+    The coefficients ``p0 p1 …`` are sorted by the degree of their terms, and within one degree by
+    the order of the factors.
     """
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
@@ -364,13 +371,13 @@ def _read_polynomial(text: str, where: str) -> str:
     ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:
-        factors = ["0", *factors]  # a single coefficient is the linear term
+        factors = ["0", *factors]  # a single coefficient belongs to the linear term
     terms = chain.from_iterable(map(partial(combinations_with_replacement, axes), count()))
     return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
 
 
 def _read_table(text: str, where: str) -> str:
-    """Return the table ``{expression} = (x, y) …`` as an expression, constant outside."""
+    """Return the table ``{expression} = (x, y) …`` as a function, constant outside of the table."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
     ends = [literal_value(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]

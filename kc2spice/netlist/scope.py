@@ -1,4 +1,4 @@
-"""Circuits with their includes, and scopes of their names."""
+"""Scopes of the names in a circuit and its included files."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ INCLUDES = (".include", ".inc")
 
 @dataclass
 class Scope:
-    """Definitions in a subcircuit or, with an empty ``name``, at the top level.
+    """Names defined in a subcircuit or, if ``name`` is empty, at the top level.
 
-    Names of definitions are in lower case. Each ``ChainMap`` is searched from the inside out: its
-    first map contains the definitions of this scope, the next maps those of the enclosing scopes.
-    ``defaults`` contains the parameters that an instance may set. ``params`` contains these and the
+    All names are in lower case. The first map of each ``ChainMap`` contains the definitions of this
+    scope, the next maps contain the definitions of the enclosing scopes. ``defaults`` contains the
+    parameters that an instance may set. ``params`` contains the parameters in ``defaults`` and the
     parameters that the subcircuit defines. ``defined`` contains the text and the card of each
     definition.
     """
@@ -51,34 +51,34 @@ class Scope:
 
     @property
     def nodes(self) -> frozenset[str]:
-        """Pins of the scope and nodes of its elements."""
+        """Pins of the subcircuit, and nodes of its elements."""
         return frozenset(self.pins).union(*map(attrgetter("ends"), self.elements))
 
     @cached_property
     def elements_by_key(self) -> dict[str, Element]:
-        """First element of each name, keyed by the name in lower case."""
+        """First element with each name, keyed by the name in lower case."""
         result: dict[str, Element] = {}
         for element in self.elements:
             result.setdefault(element.key, element)
         return result
 
     def elements_of(self, kinds: str) -> dict[str, Element]:
-        """Return the elements with some letters, keyed by their names in lower case."""
+        """Return the elements whose letter is in ``kinds``, keyed by lower-case name."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
     def find(self, name: str) -> Scope | None:
-        """Return the definition of the subcircuit ``name`` that applies in this scope."""
+        """Return the definition of the subcircuit ``name`` that is valid in this scope."""
         return self.subcircuits.get(name.lower())
 
     def inner_scopes(self) -> Iterator[Scope]:
-        """Yield this scope and all scopes within it."""
+        """Yield this scope, and the scopes of all subcircuits that are defined within it."""
         yield self
         for child in self.subcircuits.maps[0].values():
             yield from child.inner_scopes()
 
 
 def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
-    """Return the scope of a tree, with the content of its includes from ``files``.
+    """Return the scope of a tree; ``files`` contains the trees of included files.
 
     Raises
     ------
@@ -93,9 +93,10 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
 def _fill_scope(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
 ) -> None:
-    """Add the cards of a circuit, and of the files that it includes, to ``scope``.
+    """Add the cards of a circuit, and of its included files, to ``scope``.
 
-    ``chain`` are the files that include each other; the last one contains the circuit.
+    ``chain`` are the files from the main file to the file with the circuit, in which each file
+    includes the next one.
     """
     for item in tree.items:
         match item:
@@ -112,7 +113,7 @@ def _fill_scope(
                 scope.models[name.lower()] = item
             case Directive(keyword, words) if keyword in INCLUDES:
                 written = " ".join(words).strip("\"'")
-                # paths are relative to the directory of the file
+                # the path of an included file is relative to the directory of the including file
                 target = str(PurePosixPath(chain[-1]).parent / written)
                 if target in chain:
                     raise item.error(
@@ -139,7 +140,7 @@ def _fill_scope(
 
 
 def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
-    """Raise UsageError if two files define a name differently."""
+    """Raise UsageError if two definitions of a name differ."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
     if place.file != card.file and first != value:
@@ -149,7 +150,7 @@ def _require_same_definition(scope: Scope, what: str, value: str, card: Card) ->
 
 
 def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
-    """Return the empty scope of a subcircuit that the scope ``parent`` defines."""
+    """Return a new scope for a subcircuit that is defined in the scope ``parent``."""
     name = item.name.lower()
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
@@ -169,7 +170,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
 
 
 def has_vector(top: Scope, text: str) -> bool:
-    """Return whether the circuit contains the nodes or the device of a saved vector."""
+    """Return whether the circuit contains all nodes, or the device, of a saved vector."""
     result = parse_vector(text.lower())
     if result is None:
         return False
@@ -186,7 +187,7 @@ def _has_node(top: Scope, *path: str) -> bool:
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
-    """Return the scope of the instance ``xa.xb`` …, None if it does not exist."""
+    """Return the scope of the nested instance ``path``; None if there is no such instance."""
     scope: Scope | None = top
     for name in path:
         element = scope.elements_by_key.get(name) if scope else None

@@ -11,13 +11,13 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-# 1/s, decay rate of a floating charge in a netlist. A node that stores charge has a leak of this
-# rate times its charge. At an operating point, the sum of the currents is then zero if the sum of
-# the charges is zero. The leak carries the fraction 1.6e-10 Hz / f of the node's current, for any
-# capacitance.
+# 1/s, decay rate of a floating charge in a netlist. From each node that stores a charge, a leakage
+# current of this rate times the charge flows. At an operating point, the sum of the leakage
+# currents is therefore zero if the sum of the charges is zero. At the frequency f, the leakage
+# current is the fraction 1.6e-10 Hz / f of the node's current, for any capacitance.
 LEAK_RATE = 1e-9
 _PLAIN_EXPONENTS = str.maketrans("²³", "23")
-# A unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
+# Number with a unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
 _INFIX_UNIT = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Names that simulators treat as ground, time, temperature, a constant, a multiplier or a function.
@@ -25,10 +25,10 @@ _RESERVED_NAMES = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", 
 
 
 def format_number(value: float) -> str:
-    """Return the shortest decimal text that reads back as ``value``.
+    """Return the shortest decimal text whose value is exactly ``value``.
 
-    The number has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and
-    simulators disagree on further letters.
+    The text has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and simulators
+    interpret further letters differently.
 
     Raises
     ------
@@ -43,10 +43,10 @@ def format_number(value: float) -> str:
 
 
 def split_infix_unit(text: str) -> tuple[str, str, str] | None:
-    """Split a number with a unit in place of the decimal point; None for other text.
+    """Split a number with a unit in place of the decimal point; None for other texts.
 
-    The parts are the digits before the unit, the unit (empty for ``R``, ohms), and the digits after
-    it.
+    The result consists of the digits before the unit, the unit (empty for ``R``, ohms), and the
+    digits after the unit.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def split_infix_unit(text: str) -> tuple[str, str, str] | None:
 
 
 def round_to_digits(value: float) -> float:
-    """Round a value to 12 significant digits, which removes rounding errors."""
+    """Round a value to 12 significant digits, to remove rounding errors."""
     return float(f"{value:.12g}")
 
 
@@ -97,7 +97,7 @@ def _suggest_name(text: str) -> str:
 
 
 def format_voltage(plus: str, minus: str) -> str:
-    """Return the vector of the voltage between two nets; empty if both are ground."""
+    """Return the vector of the voltage between two nodes; empty if both are ground."""
     return f"v({plus})" * (plus != "0") + f"-v({minus})" * (minus != "0")
 
 
@@ -120,13 +120,13 @@ def require_word(text: str) -> str:
 
 
 def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
-    """Raise an error if pin names differ only in case or match an internal node.
+    """Raise an error if pin names differ only in letter case, or match an internal node.
 
     ``inner`` is the pattern of the internal nodes of the subcircuit.
 
     Raises
     ------
-    UsageError : a name would connect two nodes.
+    UsageError : two nodes would have one name.
     """
     low = [text.lower() for text in names]
     for text, plain in zip(names, low, strict=True):
@@ -141,9 +141,9 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 
 
 def format_comment(text: str) -> str:
-    """Return ``text`` on one line, so that no part of it becomes a card.
+    """Return ``text`` on one line, because a second line would become a card.
 
-    Exponents of units are plain digits.
+    Superscript exponents of units are replaced by plain digits.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def format_comment(text: str) -> str:
 
 @cache
 def template_renderer(autoescape: bool = False) -> Any:
-    """Return the template renderer of the installed package or the repository."""
+    """Return the renderer of the templates, in the installed package or in the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent
@@ -170,7 +170,7 @@ def template_renderer(autoescape: bool = False) -> Any:
     environment = Environment(
         loader=FileSystemLoader(places),
         autoescape=autoescape,
-        undefined=StrictUndefined,  # a missing value causes an error, never an empty field
+        undefined=StrictUndefined,  # a missing value causes an error, not an empty field
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -183,15 +183,15 @@ def template_renderer(autoescape: bool = False) -> Any:
 
 
 def quote_string(text: str) -> str:
-    """Return ``text`` as a string of an S-expression."""
+    """Return ``text`` as a quoted string of an S-expression."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def render_template(template: str, **values: object) -> str:
-    """Return the text of a template with its values.
+    """Return the text of a template with ``values`` inserted.
 
-    Filters are ``n`` (number), ``name`` (checked), ``comment`` and ``q`` (a string of an
-    S-expression).
+    The template can use the filters ``n`` (format a number), ``name`` (check a name), ``comment``
+    (format a comment) and ``q`` (quote a string of an S-expression).
     """
     return template_renderer().get_template(template).render(**values)

@@ -1,4 +1,4 @@
-"""Transformations of decks and libraries: merged subcircuits, parameters, copies."""
+"""Transformations of decks and libraries: merged subcircuits, new parameters, copies."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from kc2spice.netlist.spelling import format_number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 Value = TypeVar("Value")
-MAX_COPIES = 10_000  # largest number of copies of a deck
+MAX_COPIES = 10_000  # largest number of copies in an array deck
 DIGITS = "0123456789"
 
 
 def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
-    """Return ``part`` with the subcircuits ``helpers`` that it instantiates, as ``PART_HELPER``.
+    """Return ``part`` with the subcircuits ``helpers`` in the same library file.
 
-    A user then includes one library file, and two library files never define the same name.
+    The merged subcircuits are named ``PART_HELPER``. A user then includes only one library file,
+    and two library files never define the same name.
     """
     tree = part.circuit
     for helper in helpers:
@@ -43,11 +44,11 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
 
 
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
-    """Return ``circuit`` with renamed subcircuits."""
+    """Return ``circuit`` with subcircuits renamed by ``names``."""
     new = lower_names(names)
 
     def rename_item(entry: Item) -> Item:
-        """Return an item with renamed subcircuits."""
+        """Return an item in which subcircuits are renamed."""
         if isinstance(entry, Circuit):
             return replace(entry, name=new.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
@@ -57,19 +58,20 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     return circuit.changed(rename_item)
 
 
-# --- new parameter values in the same netlist: param.PART.NAME ---
+# --- new values of the netlist parameters param.PART.NAME ---
 
 
 def library_stem(part: Subcircuit) -> str:
-    """Return the file name of the library of a part, without its suffix."""
+    """Return the name of a part's library file without its suffix."""
     return part.filename.rpartition(".")[0] or part.filename
 
 
 def parameter_owners(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Yield every subcircuit of a library with its name in ``param.NAME.…``.
+    """Yield every subcircuit of a library, with its name in keys ``param.NAME.…``.
 
-    The main subcircuit has the name of its file. A helper has a separate name, which several
-    libraries may share: ``opamp`` is the amplifier in all libraries that have one.
+    In these keys, the main subcircuit has the name of the library file. A helper has a separate
+    name, which may be the same in several libraries: ``opamp`` is the amplifier in all libraries
+    with an amplifier.
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
@@ -77,18 +79,18 @@ def parameter_owners(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
 
 
 def parameter_defaults(deck: Deck) -> dict[str, float]:
-    """Return the default of every numeric parameter, keyed by ``PART.NAME``."""
+    """Return the default value of every numeric parameter, keyed by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
         for library, item in parameter_owners(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # an expression has no number to replace
+                with contextlib.suppress(ValueError):  # an expression is no number
                     result[f"{library}.{name}"] = float(text)
     return result
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
-    """Return ``deck`` with new parameter defaults in subcircuits and headers.
+    """Return ``deck`` with new default values of parameters in subcircuits and headers.
 
     ``values`` are pairs ``("PART.NAME", value)``.
 
@@ -107,7 +109,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    """Return a part with a new default of a parameter of the subcircuit ``library``."""
+    """Return a part with a new default value of a parameter of the subcircuit ``library``."""
     new = dict[int, Circuit]()
     params = list(part.params)
     for k, param in enumerate(params if library == library_stem(part) else ()):
@@ -130,7 +132,7 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
 
 
 def _require_in_range(param: Param, library: str, value: float) -> None:
-    """Raise an error if a parameter is outside of its range."""
+    """Raise an error if a value is outside of the parameter's range."""
     least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
@@ -150,14 +152,14 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
 
 
 def make_array_deck(deck: Deck, count: int) -> Deck:
-    """Return a deck with ``count`` copies of ``deck`` as ``X1``, ``X2``, … on node 0.
+    """Return a deck with ``count`` copies of ``deck``, the instances ``X1``, ``X2``, ….
 
-    Results of copy k are called ``k.NAME``.
+    The copies have only node 0 in common. The results of copy k are called ``k.NAME``.
 
     Raises
     ------
-    UsageError : the number of copies is out of range, or the deck has a sweep, which varies one
-    source only.
+    UsageError : the number of copies is out of range, or the deck has a dc sweep, which can vary
+        only one source.
     """
     if not 1 <= count <= MAX_COPIES:
         expected = f"1 to {MAX_COPIES}"
@@ -187,12 +189,12 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values with a prefix before each name."""
+    """Return values with a prefix before each key."""
     return {f"{prefix}{key}": value for key, value in values.items()}
 
 
 def _move_into_instance(expression: str, instance: str) -> str:
-    """Return a sum of vectors as the same sum inside an instance."""
+    """Return the sum of the same vectors inside an instance."""
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
@@ -205,10 +207,10 @@ def prepare_noise(
 ) -> Deck:
     """Return the deck with the noise density of each noisy resistor as a result.
 
-    The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise.
-    The owner is the part whose name is the beginning of the card's name. ``noisy`` are the names of
-    resistors with noise, keyed by library file; the other resistors of these libraries compute
-    only.
+    The name of a result is ``OUTPUT.OWNER.RESISTOR``. The result ``output`` is the density of the
+    total noise. The owner is the part in ``owners`` whose name is the beginning of the card's name.
+    ``noisy`` are the names of physical resistors with noise, keyed by library file. All other
+    resistors of these libraries are auxiliary and become noiseless.
     """
     libraries = []
     for library in deck.parts:
@@ -230,12 +232,13 @@ def prepare_noise(
 def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     """Return ``part`` without thermal noise of auxiliary resistors.
 
-    Resistors ``Rnoise…`` and ``noisyN`` (N a number) keep their noise.
+    A resistor keeps its noise if its name begins with ``Rnoise``, or if its name without a final
+    number is in ``noisy``.
     """
     names = set(map(str.lower, noisy))
 
     def silence_resistor(entry: Item) -> Item:
-        """Return an item without thermal noise."""
+        """Return an item; an auxiliary resistor becomes noiseless."""
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:
@@ -246,7 +249,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield simulator names of noisy resistors, and their instance paths."""
+    """Yield the simulator names of noisy resistors, and the paths of their instances."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find(item.model)) is not None:
             yield from _list_noisy_resistors(inner, f"{path}{item.key}.")

@@ -1,4 +1,4 @@
-"""Netlists for other tools: dialects, Verilog-A modules and symbols."""
+"""Output for other tools: netlists in dialects, Verilog-A modules and symbols."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from kc2spice.netlist.printers.verilog_a import make_testbench, print_module
 
 
 def translate_deck(deck: Deck, dialect: str) -> Deck:
-    """Return ``deck`` with all its files in a dialect; unchanged for ngspice.
+    """Return ``deck`` with all files in a dialect; for ngspice, the deck is unchanged.
 
     Raises
     ------
-    UsageError : the dialect is unknown or has no equivalent of a construct.
+    UsageError : the dialect is unknown, or the deck contains a construct without an equivalent in
+        the dialect.
     """
     if dialect == NGSPICE:
         return deck
@@ -47,14 +48,14 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     """Return the files of a deck in a dialect, or Verilog-A modules of its parts.
 
-    Verilog-A describes devices. A part that cannot be a module, such as a pulse generator, remains
-    a library, and ``verilog-a.txt`` gives the reason. The testbench ``NAME_osdi.cir`` runs the
-    compiled modules in ngspice.
+    A part that cannot be a Verilog-A module, such as a pulse generator, remains a library, and the
+    file ``verilog-a.txt`` states the reason. The testbench ``NAME_osdi.cir`` runs the compiled
+    modules in ngspice.
 
     Raises
     ------
-    UsageError : the dialect is unknown or has no equivalent of a construct, or no part can be a
-    module.
+    UsageError : the dialect is unknown, the deck contains a construct without an equivalent in the
+        dialect, or no part can be a module.
     """
     if dialect != VERILOG_A:
         return translate_deck(deck, dialect).files
@@ -76,16 +77,16 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Return the symbols of a deck with its libraries, keyed by file name.
+    """Return the files of symbols and libraries of a deck, keyed by file name.
 
-    For ngspice, the files are a KiCad project of the whole deck and the symbols for all other
-    simulators. The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In
-    another dialect the symbols of its simulator name the libraries ``NAME.lib``. A part of the user
-    that only ngspice can simulate has no symbols for other simulators.
+    For ngspice, the files are a KiCad project of the whole deck, the symbols for all other
+    simulators, and the libraries ``NAME.DIALECT.lib`` that these symbols refer to. For another
+    dialect, the files are the symbols for its simulator, which refer to the libraries ``NAME.lib``.
+    A user's part that only ngspice can simulate has no symbols for other simulators.
 
     Raises
     ------
-    UsageError : a part that the simulator lacks, or a card without a symbol in KiCad.
+    UsageError : a part that the simulator cannot represent, or a card without a KiCad symbol.
     """
     if dialect == VERILOG_A:
         return {}
@@ -100,7 +101,7 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             if symbols and dialect == NGSPICE:
                 try:
                     symbols = {**symbols, library: printer.format_file(part.located_tree)}
-                except UsageError:  # a card that the other simulator lacks
+                except UsageError:  # the other simulator lacks a card
                     symbols = {}
             files |= symbols
     return files

@@ -1,1 +1,1 @@
-"""Printers of netlist trees, one module for each simulator or tool."""
+"""Printers that convert netlist trees to text, one module for each simulator or tool."""

@@ -1,4 +1,4 @@
-"""Base class of the dialects: differences of other simulators from ngspice.
+"""Base class of the netlist dialects of simulators other than ngspice.
 
 Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and LTspice Help
 (B sources, .model SW, .save).
@@ -45,9 +45,9 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
 _COMMON_COMMANDS = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
-# elements with the same syntax in all dialects, except for braces and parameters
+# letters of elements with the same syntax in all dialects, except for braces and parameters
 _COMMON_ELEMENTS = frozenset("rclvikfhxdqjmbegs")
-# Models with SPICE2 parameters, which have the same meaning in all three simulators.
+# Parameters of semiconductor models from SPICE2, with the same meaning in all three simulators.
 _SEMICONDUCTOR_PARAMETERS = {
     "d": "is rs n tt cjo vj m eg xti fc bv ibv",
     "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
@@ -72,35 +72,36 @@ _ELEMENT_PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-_NOISE_PARAMETERS = frozenset({"noisy"})  # parameters of a noise analysis, which dialects reject
+_NOISE_PARAMETERS = frozenset({"noisy"})  # for noise analyses; rejected in dialects
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
     rf"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:{_EXPONENT})?((?!{_EXPONENT})[a-z]\w*)(?![\w.])", re.I
 )
-# scale factors of all simulators
+# scale factors with the same meaning in all simulators
 _COMMON_SCALE_FACTORS = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"})
 
 
 class Dialect(Printer, ABC):
-    """Syntax of one simulator, as differences from ngspice.
+    """Printer of one dialect, which overrides the syntax of ngspice where it differs.
 
-    ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages and
-    ``command`` the command that runs a deck. ``keyword`` stands before parameters of subcircuits.
-    ``functions`` are the functions of the simulator, ``rewritten`` the functions that :meth:`call`
-    replaces. ``known_options`` are options that the simulator has, after ``option_prefix``; other
-    options are written as comments. Commands in ``joined`` are merged into one card.
-    ``parameters`` are the parameters of each kind of card. ``temperature`` is the name of the
-    temperature in expressions; without one, such an expression causes an error.
+    ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages, and
+    ``command`` the command that runs a deck. ``keyword`` is the word before the parameters of
+    subcircuits. ``functions`` are the functions of the simulator, and ``rewritten`` the ngspice
+    functions that :meth:`call` replaces. ``known_options`` are the options of the simulator,
+    written after ``option_prefix``; all other options are written as comments. All cards of each
+    command in ``joined`` are merged into one card. ``parameters`` contains the known parameters of
+    each kind of element. ``temperature`` is the name of the temperature in expressions. If it is
+    empty, an expression with the temperature causes an error.
 
-    ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
-    analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
+    ``deck`` is the deck to print, or None for a library alone. :attr:`analysis` is the analysis of
+    the deck. :meth:`refusal` returns the error for a construct that the simulator lacks.
     """
 
     dialect: ClassVar[str] = ""
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()
-    joined = frozenset({".save"})  # Xyce writes one file per ``.print``
+    joined = frozenset({".save"})  # Xyce writes one file for each ``.print``
     functions = COMMON
     rewritten = frozenset({"pow", "pwl"})
     parameters: Mapping[str, set[str]] = MappingProxyType(_ELEMENT_PARAMETERS)
@@ -111,11 +112,11 @@ class Dialect(Printer, ABC):
         super().__init__()
         self.deck = deck
         self.defined: set[str] = set()
-        self.unmeasured: set[str] = set()  # names of measurements without an equivalent
+        self.unmeasured: set[str] = set()  # names of measurements that this dialect cannot express
 
     @cached_property
     def analysis(self) -> Directive:
-        """Card of the deck's analysis; for a library, a transient from initial states."""
+        """Card of the deck's analysis; for a library alone, a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
         analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
@@ -133,7 +134,7 @@ class Dialect(Printer, ABC):
         return super().format_file(circuit)
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the cards, merged where the simulator needs one card per command."""
+        """Yield the text of cards; all cards of a command in ``joined`` are merged."""
         return super().lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
@@ -145,7 +146,7 @@ class Dialect(Printer, ABC):
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
-            case ".print":  # a card of ngspice; other simulators print the vectors of .save
+            case ".print":  # other simulators print the vectors of .save
                 return ""
             case ".options" | ".option" | ".opt":
                 return self.options(item.words)
@@ -160,7 +161,7 @@ class Dialect(Printer, ABC):
         raise self.refusal(item.text, f"the command {item.keyword}")
 
     def _require_text(self, item: Item, text: str) -> str:
-        """Return the text of a card; an element or model without text would be missing."""
+        """Return the text of a card; raise an error for an element or model without text."""
         method = "element" if isinstance(item, Element) else "model"
         if isinstance(item, Element | Model) and (not isinstance(text, str) or not text.strip()):
             raise UsageError(
@@ -173,7 +174,7 @@ class Dialect(Printer, ABC):
         return text
 
     def measure(self, card: Directive) -> str:
-        """Return the card of a measurement, or "" if the simulator has no equivalent."""
+        """Return the card of a measurement, or "" if the dialect cannot express it."""
         if len(card.words) < 3:
             return ""
         kind, name, what, *rest = card.words
@@ -199,9 +200,10 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def measured(self, text: str, kind: str) -> str:
-        """Return the vector of a measurement.
+        """Return the real quantity that a measurement reads from a vector.
 
-        In an ``ac`` analysis this is the magnitude of a voltage, or the real part of a current.
+        In an ``ac`` analysis, this quantity is the magnitude of a voltage or the real part of a
+        current.
         """
         if text.startswith("vm("):
             return self.magnitude(self.vector(f"v({text[3:]}"))
@@ -209,20 +211,20 @@ class Dialect(Printer, ABC):
         return self.real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the keywords that locate an extremum; none by default."""
+        """Return the words of a card that measures the position of an extremum."""
         return ()
 
     @abstractmethod
     def scaled(self, kind: str, name: str, expression: str) -> str:
-        """Return a measurement card with an expression of other measurements."""
+        """Return a measurement card whose value is an expression of other measurements."""
 
     @abstractmethod
     def magnitude(self, vector: str) -> str:
-        """Return the magnitude of a complex vector."""
+        """Return the text for the magnitude of a complex vector."""
 
     @abstractmethod
     def real_part(self, vector: str) -> str:
-        """Return the real part of a complex vector."""
+        """Return the text for the real part of a complex vector."""
 
     def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
         """Return the error for a construct without an equivalent in this dialect."""
@@ -247,7 +249,7 @@ class Dialect(Printer, ABC):
         return super().element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
-        """Return the parameters of a card except parameters for a noise analysis."""
+        """Return the parameters of an element, except parameters for a noise analysis."""
         result = {}
         for key, value in part.parameters.items():
             if key.lower() in _NOISE_PARAMETERS:
@@ -260,7 +262,7 @@ class Dialect(Printer, ABC):
         return result
 
     def model(self, model: Model) -> str:
-        """Return the card of a switch, or of a semiconductor with common parameters."""
+        """Return the card of a switch model, or of a semiconductor model."""
         parameters = lower_names(model.parameters)
         values = dict(zip(parameters, map(self.value, parameters.values()), strict=True))
         if model.type.lower() == "sw":
@@ -271,7 +273,7 @@ class Dialect(Printer, ABC):
         return super().model(model)
 
     def options(self, words: Sequence[str]) -> str:
-        """Return the options that the simulator has; other options become comments."""
+        """Return the card of the options that the simulator has; other options are comments."""
         supported, comments = [], []
         for word in words:
             if word.partition("=")[0].lower() in self.known_options:
@@ -282,7 +284,7 @@ class Dialect(Printer, ABC):
         return "\n".join([*lines, *comments])
 
     def save(self, vectors: list[str]) -> str:
-        """Return the card that saves vectors."""
+        """Return the card that saves the ``vectors``."""
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod
@@ -290,12 +292,12 @@ class Dialect(Printer, ABC):
         """Return the model card of a voltage-controlled switch."""
 
     def start(self, text: str) -> str:
-        """Return an initial value ``v(NODE)=VALUE`` in this dialect."""
+        """Return the initial value ``v(NODE)=VALUE`` in this dialect."""
         node, equals, value = text.partition("=")
         return f"{self.vector(node)}={self.value(value)}" if equals else text
 
     def vector(self, text: str) -> str:
-        """Return a saved vector in this dialect."""
+        """Return the name of a saved vector in this dialect."""
         result = parse_vector(text)
         bare = "(" not in text and "@" not in text
         if result is None or bare or result.parameter.lower() not in ("", "i", "id", "current"):
@@ -309,13 +311,14 @@ class Dialect(Printer, ABC):
         return ":".join(path)
 
     def device(self, trace: Trace) -> str:
-        """Return the name of a device current."""
+        """Return the name of a device whose current is saved."""
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:
-        """Return a word in which all simulators read the numbers as the same value.
+        """Return a word whose numbers have the same value in all simulators.
 
-        Units after a number and scale factors such as ``mil``, ``a`` or ``x`` are replaced.
+        Unit letters after a number are removed. Scale factors such as ``mil``, ``a`` or ``x`` are
+        replaced.
         """
         return _NUMBER.sub(_remove_letters, text)
 
@@ -329,11 +332,11 @@ class Dialect(Printer, ABC):
         return known.get(text.lower(), text)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function with the same meaning, such as ``table`` for ``pwl``."""
+        """Return a function call with the same meaning, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
-            if len(values) % 2 or not flat:  # pwl extrapolates its outer segments, table does not
+            if len(values) % 2 or not flat:  # pwl extrapolates, but table does not
                 raise UsageError(
                     f"{self.title} cannot extrapolate a table with a slope",
                     where=self.where,
@@ -352,7 +355,7 @@ class Dialect(Printer, ABC):
         return super().call(spelled, arguments)
 
     def condition(self, tree: Tree) -> str:
-        """Return a condition; true is nonzero in ngspice, and above one half in LTspice."""
+        """Return a condition that is true for nonzero numbers, as in ngspice."""
         if isinstance(tree, Binary) and tree.op in _COMPARISON_OPERATORS:
             return super().write(tree)
         return f"{self.write(_number_of_condition(tree), 3)}>0.5"
@@ -360,8 +363,9 @@ class Dialect(Printer, ABC):
     def write(self, tree: Tree, level: int = 0) -> str:
         """Return the text of ``tree``.
 
-        ngspice takes powers of the absolute value. Choices replace logical operators, because both
-        simulators write these as ``if(test, yes, no)``.
+        As in ngspice, a power is computed from the absolute value of its base. Logical operators
+        are replaced by conditional expressions, whose syntax is ``if(test, yes, no)`` in both
+        dialects.
         """
         match tree:
             case Choice(test, yes, no):
@@ -374,7 +378,7 @@ class Dialect(Printer, ABC):
 
 
 def _remove_letters(match: re.Match[str]) -> str:
-    """Return a number with a common scale factor, or without letters."""
+    """Return a number with a scale factor that all simulators know, or without letters."""
     if match[1].lower() in _COMMON_SCALE_FACTORS:
         return match[0]
     tree = parse_expression(match[0])
@@ -387,7 +391,7 @@ _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
 def _number_of_condition(tree: Tree) -> Tree:
-    """Return a condition as the number 0 or 1."""
+    """Return the expression of a condition whose value is 0 or 1."""
     match tree:
         case Binary(op) if op in _COMPARISON_OPERATORS:
             return Choice(tree, _ONE, _ZERO)
@@ -405,9 +409,10 @@ def _number_of_condition(tree: Tree) -> Tree:
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Merge all cards of each of the commands ``joined`` into one card.
+    """Merge all cards of each command in ``joined`` into one card.
 
-    The merged card replaces the first of these cards and has the comments of all of them.
+    The merged card replaces the first card of the command, and has the comments of all cards of the
+    command.
     """
     merged: dict[str | int, Item] = {}
     for number, item in enumerate(items):

@@ -1,7 +1,7 @@
-"""Registry of netlist dialects from this and other packages.
+"""Registry of the netlist dialects of kc2spice and of other packages.
 
-A module of :mod:`kc2spice.netlist.printers.dialects` is named after its dialect. Other packages
-declare their dialects as entry points of the group :data:`ENTRY_POINT_GROUP`.
+A module in the package :mod:`kc2spice.netlist.printers.dialects` has the name of its dialect. Other
+packages declare their dialects as entry points of the group :data:`ENTRY_POINT_GROUP`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from kc2spice.netlist.printers.dialect import Dialect
 
 ENTRY_POINT_GROUP = "kc2spice.dialects"
 DIALECT_PACKAGE = "kc2spice.netlist.printers.dialects"
-# the base printer of all dialects, and the only output that is not a netlist
+# Names of the printer that all dialects derive from, and of the output that is not a netlist.
 NGSPICE = "ngspice"
 VERILOG_A = "verilog-a"
 _dialects: dict[str, type[Dialect]] = {}
@@ -75,7 +75,7 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
-        titled = value.title != Dialect.title  # the title of ngspice is inherited
+        titled = value.title != Dialect.title  # inherited: the title of ngspice
         named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
         if not missing and named and titled:
             return value
@@ -93,24 +93,24 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
 
 @cache
 def _module_names() -> tuple[str, ...]:
-    """Return the names of the dialects of this package."""
+    """Return the names of the dialects of kc2spice."""
     modules = pkgutil.iter_modules(import_module(DIALECT_PACKAGE).__path__)
     return tuple(map(attrgetter("name"), modules))
 
 
 def deck_dialects() -> tuple[str, ...]:
-    """Return the names of all dialects in which a deck can be written, ngspice first."""
+    """Return the names of all dialects for decks, ngspice first."""
     foreign = plugin_names(ENTRY_POINT_GROUP)
     return tuple(dict.fromkeys((NGSPICE, *_module_names(), *foreign, *_dialects)))
 
 
 def dialect_names() -> tuple[str, ...]:
-    """Return the names of all dialects of an export, among them Verilog-A."""
+    """Return the names of all dialects for an export, including Verilog-A."""
     return (*deck_dialects(), VERILOG_A)
 
 
 def find_dialect(name: str) -> type[Dialect]:
-    """Return the printer class of a dialect; its module is imported when needed.
+    """Return the printer class of a dialect, and import the module of the class if needed.
 
     Raises
     ------

@@ -1,9 +1,10 @@
 """KiCad symbols of parts and elements, and KiCad projects of decks.
 
-Wires join the pins of a net in one row, and global labels join the rows. The nets have the node
-names of the deck, so that a curve has the same name in KiCad, in the deck and in the results. The
-formats are version 20231120 of symbol library and schematic (KiCad developer documentation), which
-releases 8, 9 and 10 read. Their text is ``templates/kicad.j2``.
+The symbols are arranged in rows. Wires join the pins of a net within one row, and global labels
+join the nets of different rows. The nets have the node names of the deck, so that a curve has the
+same name in KiCad, in the deck and in the results. Symbol libraries and schematics have the file
+format 20231120 (KiCad developer documentation), which the releases 8, 9 and 10 read. The files are
+written by the template ``templates/kicad.j2``.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope
 from kc2spice.netlist.spelling import render_template
 
 GRID = 2.54  # mm, 100 mil
-# symbol fields of an element with the value of its netlist card
+# text of the field Sim.Params of an element, which contains the values of the netlist card
 _SPICE_FIELD = 'type="{}" model="{}" lib=""'
 LIBRARY = "kc2spice"
 _POLE_PINS = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
@@ -52,7 +53,7 @@ _ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
-_MARK_SYMBOLS = {  # reference, title, drawing, pin, where the text begins, kind of pin
+_MARK_SYMBOLS = {  # reference, title, drawing, pin, position of the text, kind of pin
     "GND": ("#PWR", "ground, node 0", "ground", Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
@@ -64,10 +65,10 @@ _MARK_SYMBOLS = {  # reference, title, drawing, pin, where the text begins, kind
 
 @dataclass(frozen=True)
 class Symbol:
-    """Symbol drawing with pins at ``places``.
+    """Symbol with a drawing, text fields and pins at ``places``.
 
-    Reference and value begin at ``text``, in two lines. ``half`` is the half width and the
-    half height [mm] of a symbol that is drawn as a box.
+    The texts of reference and value begin at the position ``text``, in two lines. ``half`` contains
+    half of the width and half of the height [mm] of a symbol that is drawn as a box.
     """
 
     name: str
@@ -89,7 +90,8 @@ def print_symbol_library(symbols: Iterable[Symbol]) -> str:
 def draw_part_symbol(part: Subcircuit) -> Symbol:
     """Return the symbol of a part.
 
-    The parameters have the exact defaults of the library until the user changes ``Sim.Params``.
+    The user can change the parameters in the field ``Sim.Params``; the default values are exactly
+    the values in the library.
     """
     box = arrange_pins(part)
     fields = _standard_fields("X", part.name, part.title) | {
@@ -103,9 +105,10 @@ def draw_part_symbol(part: Subcircuit) -> Symbol:
 
 
 def element_symbols() -> dict[str, Symbol]:
-    """Return the symbols of elements, keyed by letter, and of ``GND`` and other marks.
+    """Return symbols of elements, keyed by letter, and of marks such as ``GND``.
 
-    Values are written as in a netlist (``Sim.Device`` ``SPICE``), so that no digit is lost.
+    The fields contain the values in netlist syntax (``Sim.Device`` is ``SPICE``), without loss of
+    digits.
     """
     result = {}
     for letter, (name, title, drawing) in _ELEMENT_SYMBOLS.items():
@@ -139,11 +142,11 @@ _GROUND_ANGLES = {
     "right": 90,
     "top": 180,
     "left": 270,
-}  # angle of a ground symbol, which points away from the part
-# row width in grid units, and the paper sizes with a suitable shape
+}  # angle [degrees] by which a ground symbol at each side points away from the part
+# Widths of rows in grid units, in the order in which they are tried, with suitable paper sizes.
 _ROW_WIDTHS = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
 SHEET_MARGIN = 10
-_LETTER_WIDTH = 0.5  # average width of a letter in grid units
+_LETTER_WIDTH = 0.5  # grid units, average width of a letter
 _PAPER_SIZES = {
     "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
 }  # fmt: skip
@@ -158,10 +161,11 @@ _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(15
 
 @dataclass(frozen=True)
 class _Item:
-    """Symbol on the sheet at a grid position, with its fields and nets.
+    """Symbol at a grid position of the sheet, with its text fields and nets.
 
-    ``reach`` is the space that the symbol needs to the left, right, top and bottom, in grid units.
-    The room at the left and right includes the columns of its wires.
+    ``reach`` contains the space that the symbol needs at the left, right, top and bottom, in grid
+    units. The space at the left and right includes the vertical wires of the symbol. ``turn`` is
+    the rotation angle.
     """
 
     symbol: Symbol
@@ -174,26 +178,26 @@ class _Item:
 
     @property
     def right(self) -> int:
-        """Right end of the item on the sheet."""
+        """Position of the right end of the item on the sheet."""
         return self.x + self.reach[1]
 
     @property
     def bottom(self) -> int:
-        """Lower end of the item on the sheet."""
+        """Position of the lower end of the item on the sheet."""
         return self.y + self.reach[3]
 
     @property
     def ends(self) -> Iterator[tuple[int, int, str, str]]:
-        """Free ends on the sheet: x, y (downwards), side, net."""
+        """Yield x, y (downwards), side and net of each pin end on the sheet."""
         for place, net in zip(self.symbol.places, self.nets, strict=True):
             yield self.x + place.x, self.y - place.y, place.side, net
 
 
 def make_project(deck: Deck) -> dict[str, str]:
-    """Return a KiCad project of ``deck`` as ``{file name: text}``.
+    """Return the files of a KiCad project of ``deck`` as ``{file name: text}``.
 
-    ``NAME.kicad_pro`` opens it. The sheet runs with the analysis and the options of the deck, and
-    the exported netlist has the results of the deck.
+    The user opens the file ``NAME.kicad_pro``. KiCad simulates the sheet with the analysis and the
+    options of the deck. The netlist that KiCad exports has the same results as the deck.
 
     Raises
     ------
@@ -227,7 +231,7 @@ def make_project(deck: Deck) -> dict[str, str]:
 
 
 def _simulation_commands(top: Scope) -> Iterator[str]:
-    """Yield the commands of the deck that KiCad needs, with the names of its symbols."""
+    """Yield the deck's commands for KiCad, with KiCad's names of sources and instances."""
     sources = {key: _add_reference_number(item.name) for key, item in top.elements_by_key.items()}
     for card in top.commands:
         if not (isinstance(card, Directive) and card.keyword in _KICAD_COMMANDS):
@@ -236,17 +240,17 @@ def _simulation_commands(top: Scope) -> Iterator[str]:
 
 
 def _unique_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Return the symbols without repeated names."""
+    """Return the symbols, each name only once."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 
 def _add_reference_number(name: str) -> str:
-    """Return a name that ends in a number, as KiCad references do."""
+    """Return a name with a final number, because KiCad references need a number."""
     return name if name[-1].isdigit() else f"{name}1"
 
 
 def _rename_source(word: str, references: Mapping[str, str]) -> str:
-    """Return a word of a command with the KiCad reference of its source or instance."""
+    """Return a word of a command in which KiCad references replace names of the deck."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -289,13 +293,13 @@ def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, S
 
 
 def _shorten_value(value: str) -> str:
-    """Return a short value with six digits; ``Sim.Params`` has all digits."""
+    """Return a value with six digits for the sheet; ``Sim.Params`` has all digits."""
     short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
     return short if len(short) <= _MAX_VALUE else short[: _MAX_VALUE - 2].rpartition(" ")[0] + " …"
 
 
 def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
-    """Return an item with the space that its pins, labels and texts need."""
+    """Return the item of a symbol with the space for its pins, labels and texts."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = _label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
@@ -309,12 +313,12 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
 
 
 def _label_length(net: str) -> int:
-    """Return the length of a label, or of a ground for node 0, in grid units."""
+    """Return the length [grid units] of a label, or for node 0 of a ground symbol."""
     return 2 if net == "0" else ceil(_LETTER_WIDTH * len(net)) + 2
 
 
 def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
-    """Split the items into rows of a width in grid units, each at its horizontal position."""
+    """Split the items into rows of this width [grid units], at horizontal positions."""
     items = list(items)
     longest = max(map(_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
     start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
@@ -331,7 +335,7 @@ def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
 
 
 def _stack_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_Track]]:
-    """Return the items at their positions, and the tracks above and below each row."""
+    """Return the items at their positions, and the horizontal wires above and below rows."""
     placed: list[_Item] = []
     tracks: list[_Track] = []
     y = SHEET_MARGIN
@@ -350,9 +354,10 @@ def _stack_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_
 
 @dataclass(frozen=True)
 class _Track:
-    """Horizontal wire of a net at height ``y``, with the pin ends that it joins.
+    """Horizontal wire of a net at the height ``y``, with the pin ends that the wire joins.
 
-    Each pin at ``(x, y)`` has a ``column``, the position of the vertical wire to the track.
+    Each pin at ``(x, y)`` has a column: the horizontal position of the vertical wire from the pin
+    to the track.
     """
 
     net: str
@@ -362,18 +367,18 @@ class _Track:
 
     @property
     def label(self) -> tuple[int, int, str, str]:
-        """Position, side and name of the label at the left end."""
+        """Position, side and net name of the label at the left end of the track."""
         return min(self.columns) - 1, self.y, "left", self.net
 
     @property
     def junctions(self) -> Iterator[tuple[int, int]]:
-        """Points at which three wires are joined."""
+        """Yield the points at which three wires meet."""
         for column in sorted(self.columns)[:-1]:
             yield column, self.y
 
     @property
     def wires(self) -> Iterator[tuple[int, int, int, int]]:
-        """Straight wires between the pins, the track and its label."""
+        """Yield the straight wires between the pins, the track and the label of the track."""
         for (x, y), column in zip(self.pins, self.columns, strict=True):
             if column != x:
                 yield x, y, column, y
@@ -383,21 +388,21 @@ class _Track:
 
 
 def _channel_ends(row: Iterable[_Item], upwards: bool) -> list[tuple[int, int, str, str]]:
-    """Return the pin ends that lead to the channel above a row, or below it."""
+    """Return the pin ends that lead to the wiring channel above or below a row."""
     return [end for end in _free_ends(row) if (end[2] == "top") == upwards]
 
 
 def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
-    """Return the nets with several ends in one channel; grounds have separate symbols."""
+    """Return the nets with several ends in one wiring channel, except ground."""
     counts = Counter(net for _, _, _, net in _channel_ends(row, upwards))
     return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
 
 
 def _assign_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
-    """Return the tracks of a channel that begins at height ``y``.
+    """Return the tracks (horizontal wires) of a wiring channel that begins at ``y``.
 
-    The net that begins furthest to the left has the track next to the row. No wire then crosses the
-    label of another track.
+    The net whose first pin is furthest to the left has the track next to the row. This order
+    prevents wires from crossing the labels of other tracks.
     """
     shared = _shared_nets(row, upwards)
     ends: dict[str, dict[tuple[int, int], int]] = {net: {} for net in shared}
@@ -417,8 +422,8 @@ def _assign_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
 def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int], int]:
     """Return the column of each pin end of an item, keyed by its position.
 
-    The lowest pin of a side has the column next to the symbol. Each higher pin has a column beyond
-    the columns and labels of the pins below.
+    The column of the lowest pin of a side is next to the symbol. The column of each higher pin is
+    outside of the columns and labels of all lower pins.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
@@ -434,7 +439,7 @@ def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int]
 
 
 def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
-    """Yield the free ends of all symbols on the sheet: x, y, side and net of each."""
+    """Yield x, y, side and net of all pin ends on the sheet."""
     for item in items:
         yield from item.ends
 
@@ -442,7 +447,7 @@ def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
 def _draw_sheet(
     name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
 ) -> str:
-    """Return the text of the sheet, on the smallest paper of a suitable shape."""
+    """Return the text of the schematic, on the smallest suitable paper size."""
     for width in _ROW_WIDTHS:
         placed, tracks = _stack_rows(items, width)
         heights = chain(map(attrgetter("bottom"), placed), map(attrgetter("y"), tracks))
@@ -474,7 +479,7 @@ def _draw_sheet(
 
 
 def _choose_paper(width: float, height: float) -> str:
-    """Return the smallest paper with room for a drawing [mm], otherwise A0."""
+    """Return the smallest paper size for a drawing of this size [mm], otherwise A0."""
     for paper, (available_width, available_height) in _PAPER_SIZES.items():
         if width <= available_width and height <= available_height:
             return paper
@@ -482,28 +487,28 @@ def _choose_paper(width: float, height: float) -> str:
 
 
 def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
-    """Yield a ground at every pin on node 0, and one power flag."""
+    """Yield a ground symbol at every pin on node 0, and one power flag."""
     count = 0
     for x, y, side, net in _free_ends(items):
         if net == "0":
             count += 1
             yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
-    if count:  # the flag is in a corner, on a ground without a pin
+    if count:  # the power flag is in a corner, on a separate ground symbol
         corner = SHEET_MARGIN - 2, SHEET_MARGIN - 2
         yield _ground_mark(plain["GND"], "#PWR00", *corner)
         yield _ground_mark(plain["PWR_FLAG"], "#FLG01", *corner)
 
 
 def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) -> _Item:
-    """Return a ground symbol at a position, rotated by an angle [degrees]."""
+    """Return a ground symbol or flag at a position, rotated by ``turn`` [degrees]."""
     fields = symbol.fields | {"Reference": reference}
     return _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
 
 
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """Write the simulation workbook of KiCad: the analysis and four node voltages.
+    """Return KiCad's simulation workbook with the analysis and four node voltages.
 
-    One voltage of every part is chosen before a second voltage of any part.
+    The selected voltages belong to different parts if possible.
     """
     analyses = (line for line in commands if line.split()[0].lower() in _ANALYSIS_KINDS)
     analysis = next(analyses, "")
@@ -524,5 +529,5 @@ def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
 
 
 def _make_uuid(*what: object) -> str:
-    """Return an identifier that is the same in every export of an item."""
+    """Return an identifier that is equal in all exports of the same item."""
     return str(uuid5(NAMESPACE_URL, "kc2spice/" + "/".join(map(str, what))))

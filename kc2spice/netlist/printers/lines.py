@@ -1,4 +1,4 @@
-"""Line breaks of cards and comments after at most 100 characters."""
+"""Line breaks that limit the lines of cards and comments to 100 characters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 MAX_WIDTH = 100  # characters of the longest line
-MIN_WIDTH = 50  # characters; shorter lines are avoided by a break within a word
+MIN_WIDTH = 50  # characters; a line that would be shorter is broken within a word
 _EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
 _SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
 _PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
@@ -19,8 +19,8 @@ _PROBE_TERM = re.compile(r"(?i)\b[vi]\([^()]*\)")
 def wrap_card(card: str) -> Iterator[str]:
     """Yield the lines of a card; continuation lines begin with ``+``.
 
-    Simulators insert a blank between the lines. A line therefore ends between words, before an
-    operator, or after a comma of an expression.
+    Simulators insert a blank between the joined lines. A line therefore ends between two words,
+    before an operator, or after a comma of an expression.
     """
     for line in card.split("\n"):
         if line.startswith("*"):
@@ -38,13 +38,13 @@ def wrap_card(card: str) -> Iterator[str]:
 
 
 def wrap_comments(text: str) -> Iterator[str]:
-    """Yield the lines of comments; continuation lines of a comment are indented."""
+    """Yield the lines of comments, with indented continuation lines."""
     for line in text.split("\n"):
         yield from _wrap_comment(line)
 
 
 def _wrap_comment(line: str) -> Iterator[str]:
-    """Yield the lines of one comment."""
+    """Yield the lines of one comment, with indented continuation lines."""
     if len(line) <= MAX_WIDTH or not line.startswith("*"):
         yield line
         return
@@ -61,7 +61,7 @@ def _wrap_comment(line: str) -> Iterator[str]:
 
 
 def _add_blanks(text: str, width: int) -> str:
-    """Return a text with blanks before the operators in words longer than a line."""
+    """Insert blanks before the operators in all words that are longer than a line."""
     words = text.split(" ")
     for k, word in enumerate(words):
         if len(word) > width:
@@ -70,9 +70,9 @@ def _add_blanks(text: str, width: int) -> str:
 
 
 def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
-    """Return the best end of a line from ``begin``, 0 if it must not be split.
+    """Return the best end of the line that starts at ``begin``; 0 if no end is possible.
 
-    ``breaks`` are the possible ends, grouped by preference.
+    ``breaks`` are groups of possible ends, the preferred group first.
     """
     for places in breaks:
         last = _last_between(places, begin + MIN_WIDTH, begin + width)
@@ -84,15 +84,15 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _last_between(places: Sequence[int], low: int, high: int) -> int:
-    """Return the last of ascending positions from ``low`` to ``high``, 0 if there is none."""
+    """Return the last of the ascending ``places`` from ``low`` to ``high``; otherwise 0."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 
 
 def _possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return the positions at which a line may end, grouped by preference.
+    """Return groups of positions at which a line may end, the preferred group first.
 
-    The possible ends are blanks between words, blanks within brackets, and operators of sums and
+    The groups are blanks between words, blanks within brackets, operators of sums, and operators of
     products.
     """
     outer, inner, fixed, depth, quote = list[int](), list[int](), set[int](), 0, ""

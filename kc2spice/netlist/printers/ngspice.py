@@ -1,4 +1,4 @@
-"""Printer of syntax trees for ngspice, and base class of other printers."""
+"""Printer of syntax trees in ngspice syntax, the base class of all other printers."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from kc2spice.netlist.expression import Name, Tree, Writer, parse_expression, wa
 from kc2spice.netlist.prefixes import with_prefixes
 from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
 
-# names that are not parameters and need no braces
+# names in expressions that are not parameters and therefore need no braces
 _BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
-_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
+_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # the words are numbers
 _TABLE_WIDTH = 96
 
 
@@ -32,18 +32,18 @@ class Printer(Writer):
     """Printer of netlists for one simulator."""
 
     title = "ngspice"
-    keyword = ""  # word before parameters of subcircuits and instances
+    keyword = ""  # word before the parameters of subcircuits and instances
 
     def __init__(self) -> None:
         self.where = "netlist"
 
     def format_file(self, circuit: Circuit) -> str:
-        """Return the text of a file."""
+        """Return the text of a file with the items of ``circuit``."""
         lines = [*self.lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the cards with the comments above them."""
+        """Yield the cards with their preceding comments."""
         for item in items:
             yield from _print_comments(item.notes)
             self.where = item.where
@@ -51,7 +51,7 @@ class Printer(Writer):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return one card or subcircuit without the comments above it; "" if it prints nothing."""
+        """Return the text of one item without its preceding comments; may be empty."""
         match item:
             case Element():
                 return self.element(item)
@@ -68,7 +68,7 @@ class Printer(Writer):
         return self.directive(item)
 
     def head(self, circuit: Circuit) -> str:
-        """Return the card that begins a subcircuit."""
+        """Return the ``.subckt`` card that begins a subcircuit."""
         keyword = self.keyword if circuit.defaults else ""
         return _join_words(
             ".subckt", circuit.name, *circuit.pins, keyword, self.join_pairs(circuit.defaults)
@@ -78,7 +78,7 @@ class Printer(Writer):
         """Return the card of an element."""
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
-        known = part.kind in NODE_COUNTS  # for other letters, the words may be nodes
+        known = part.kind in NODE_COUNTS  # for other letters, a word may be the name of a node
         values = " ".join(map(self.value, part.values) if known else part.values)
         pairs = self.join_pairs(part.parameters)
         return _join_words(
@@ -88,8 +88,8 @@ class Printer(Writer):
     def law(self, part: Element) -> str:
         """Return the expression of a behavioural source.
 
-        Braces enclose all of an expression with parameters, because ngspice inserts the text of
-        inner braces.
+        If an expression contains parameters, braces enclose the complete expression, because
+        ngspice inserts the content of inner braces as text.
         """
         words = [leaf.text.lower() for leaf in items_of(walk_tree(part.law), Name)]
         text = self.write(part.law)
@@ -102,31 +102,31 @@ class Printer(Writer):
         return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
-        """Return any other card with a dot; each command of a control block has its own line."""
+        """Return any other dot card; each command of a control block is on a separate line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
         words = map(self.number, card.words) if card.keyword in _NUMERIC_CARDS else card.words
         return _join_words(card.keyword, *words)
 
     def join_pairs(self, assignments: Mapping[str, str]) -> str:
-        """Return assignments as words; an assignment without a value is a flag."""
+        """Return the words ``name=value``; an assignment without a value is a flag."""
         return " ".join(
             f"{key}={self.value(value)}" if value else key for key, value in assignments.items()
         )
 
     def number(self, text: str) -> str:
-        """Return a word of a card with its numbers in this dialect."""
+        """Return a word of a card with numbers in the spelling of this dialect."""
         return with_prefixes(text)
 
     def value(self, text: str) -> str:
-        """Return a word of a card; a word in braces or single quotes is an expression."""
+        """Return a word of a card, which in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return self.number(text)
         written = self.write(parse_expression(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function call; each line of a table has several rows."""
+        """Return a function call; the points of a table are spread over several lines."""
         if function != "pwl":
             return super().call(function, arguments)
         head, *numbers = map(self.write, arguments)
@@ -136,17 +136,17 @@ class Printer(Writer):
 
 
 def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return comments as printed lines."""
+    """Return the text of comment lines."""
     return tuple(chain.from_iterable(map(wrap_comments, notes)))
 
 
 def _continue_card(card: str) -> str:
-    """Return a card with continuation lines; a control block is unchanged."""
+    """Return a card broken into continuation lines; a control block is unchanged."""
     return card if card.startswith(".control") else "\n".join(wrap_card(card))
 
 
 def _join_words(*words: str) -> str:
-    """Join words by blanks."""
+    """Join all words that are not empty by blanks."""
     return " ".join(filter(None, words))
 
 
@@ -158,7 +158,7 @@ def locate_cards(circuit: Circuit, file: str) -> Circuit:
 def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Yield items with their positions; ``lines`` yields line numbers of the file."""
+    """Yield items with their positions in the file, whose line numbers are ``lines``."""
     for item in items:
         _skip_lines(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
@@ -176,6 +176,6 @@ def _locate_items(
 
 
 def _skip_lines(lines: Iterator[int], number: int) -> None:
-    """Skip a number of lines."""
+    """Skip a number of entries of the iterator ``lines``."""
     for _ in range(number):
         next(lines)

@@ -1,20 +1,20 @@
-"""Scripts that plot the results of a deck in ngspice."""
+"""Scripts with which ngspice plots the results of a deck."""
 
 from __future__ import annotations
 
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import split_terms
 
-MAX_CURVES = 6  # curves in one window
+MAX_CURVES = 6  # largest number of curves in one window
 _PLOT_PREFIXES = {1e-6: "u", 1e-3: "m", 1.0: ""}
 _PLOT_AXES = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 
 
 def write_plot_script(deck: Deck) -> dict[str, str]:
-    """Return ``{"NAME_plot.sp": text}`` with one window for each unit of the results.
+    """Return the plot script of a deck as ``{"NAME_plot.sp": text}``.
 
-    The result is empty if there are no curves. ngspice runs a file whose first line is
-    ``*ng_script`` as commands.
+    The script opens one window for each unit of the results. The result is empty if the deck has no
+    curves. ngspice runs a file whose first line is ``*ng_script`` as commands.
     """
     axis = _PLOT_AXES.get(deck.command.kind)
     windows: dict[str, list[str]] = {}

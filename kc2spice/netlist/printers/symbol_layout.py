@@ -1,4 +1,4 @@
-"""Positions of pins on the symbol of a part."""
+"""Positions of the pins on the symbol of a part."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, build_scope
 
-_LETTER_WIDTH = 0.45  # width of a letter in grid units
-_CONTROLLED_KINDS = frozenset("egs")  # letters of elements whose last two nodes draw no current
+_LETTER_WIDTH = 0.45  # grid units, width of a letter
+_CONTROLLED_KINDS = frozenset("egs")  # elements whose last two nodes draw no current
 
 
 @dataclass(frozen=True)
 class Place:
-    """Free end of a pin at grid position ``(x, y)``, with y upwards.
+    """Pin of a symbol, whose free end is at the grid position ``(x, y)``, y upwards.
 
-    The end of the pin is ``length`` away from the body of the symbol.
+    The free end is at a distance ``length`` from the body of the symbol.
     """
 
     number: int
@@ -32,7 +32,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Box:
-    """Rectangular symbol with half width and half height in grid units."""
+    """Rectangular symbol with pins; ``width`` and ``height`` are half of its size [grid units]."""
 
     width: int
     height: int
@@ -40,16 +40,16 @@ class Box:
 
 
 def arrange_pins(part: Subcircuit) -> Box:
-    """Return the symbol of ``part`` with its pins, numbered as on ``.subckt``.
+    """Return the symbol of ``part``, with pins numbered in the order of ``.subckt``.
 
-    The left side of an actuator has its electrical terminals, the right side its mechanical ports.
-    Electronics have their inputs on the left and their outputs on the right. Mechanical parts have
-    their displacements on the left and all other pins on the right.
+    On the symbol of an actuator, electrical pins are on the left and mechanical pins on the right.
+    On electronic parts, inputs are on the left and outputs on the right. On mechanical parts,
+    displacements are on the left and all other pins on the right.
     """
     left, right, below = _assign_sides(part)
     longest = max(_longest_name(left), _longest_name(right))
     rows = max(len(left), len(right))
-    # names at the bottom are vertical, between the names on both sides
+    # pin names at the bottom are vertical, between the names on the left and on the right
     width = max(3, ceil(_LETTER_WIDTH * longest + 0.6 + 0.5 * len(below)))
     height = max(ceil((rows + 1) / 2), ceil((_LETTER_WIDTH * _longest_name(below) + 0.8) / 2))
     places = []
@@ -64,12 +64,12 @@ def arrange_pins(part: Subcircuit) -> Box:
 
 
 def _longest_name(pins: list[tuple[int, Pin]]) -> int:
-    """Return the number of letters of the longest name of numbered pins."""
+    """Return the number of letters of the longest pin name."""
     return max((len(pin.name) for _, pin in pins), default=0)
 
 
 def _find_sensed_nodes(scope: Scope | None) -> set[str]:
-    """Return the nodes whose voltage elements of ``scope`` sense without current."""
+    """Return the nodes whose voltage an element of ``scope`` senses without current."""
     sensed: set[str] = set()
     loaded: set[str] = set()
     for item in scope.elements if scope else ():
@@ -102,7 +102,7 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     if electrical and mechanical:
         left = set(electrical)
     elif electrical:
-        left.update(signals)  # command inputs, even if they draw a current
+        left.update(signals)  # command inputs, with or without a current
         left = left or {electrical[0]}
     elif mechanical:
         left = set(mechanical)

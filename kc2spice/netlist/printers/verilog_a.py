@@ -1,8 +1,9 @@
-"""Parts as Verilog-A modules, translated element by element.
+"""Printer of parts as Verilog-A modules, element by element.
 
-Every card becomes one contribution on the same nodes. Module and ``.subckt`` therefore have the
-same system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4 and 5). Nested
-instances are flattened, because Verilog-A compilers of simulators do not support hierarchy.
+Every card becomes one contribution statement with the same nodes. The module and the ``.subckt``
+therefore have the same system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4
+and 5). Nested instances are expanded, because Verilog-A compilers of simulators do not support
+hierarchy.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import GROUND_NAMES, INCLUDES, Scope, build_scope
 from kc2spice.netlist.spelling import format_number
 
-# Verilog-AMS Language Reference Manual 2.4, annex B, and names in the kc2spice header.
+# Reserved words of the Verilog-AMS Language Reference Manual 2.4, annex B, and names in the header
+# of each module.
 _RESERVED_WORDS = (
     "above abs absdelay absdelta access acos acosh ac_stim aliasparam always analog "
     "analysis and asin asinh assert assign atan atan2 atanh automatic begin branch buf "
@@ -67,9 +69,9 @@ _RESERVED_WORDS = (
 )
 _RESERVED_NAMES = frozenset(_RESERVED_WORDS.split())
 _NO_EQUIVALENT = "Verilog-A has no equivalent of this card"
-HOLD_CONDUCTANCE = 1e9  # S, holds an initial condition; large against all other conductances
+HOLD_CONDUCTANCE = 1e9  # S, enforces an initial condition; larger than all other conductances
 SOURCE_RESISTANCE = 1e-15  # Ohm, in series with a voltage source
-_OUTPUT_CARDS = (".print", ".meas")  # cards that print waves of nodes which a module may not have
+_OUTPUT_CARDS = (".print", ".meas")  # cards that print vectors, whose nodes a module may lack
 _FUNCTION_TEMPLATES = {
     "uramp": "max(0.0, {0})",
     "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))",
@@ -89,14 +91,14 @@ class Module:
     identifiers: set[str] = field(default_factory=set)
 
     def identifier(self, name: str) -> str:
-        """Return ``name``, with ``_`` appended if the word is reserved or in use."""
+        """Return an unused identifier: ``name``, if necessary with ``_`` appended."""
         while name in _RESERVED_NAMES or name in self.identifiers:
             name += "_"
         self.identifiers.add(name)
         return name
 
     def declare_variable(self, name: str, value: str) -> str:
-        """Declare a variable with its value, such as a charge, and return its name."""
+        """Declare a variable and its value, such as a charge; return the variable's name."""
         spelled = self.identifier(name)
         self.declarations.append(f"real {spelled};")
         self.laws.append(f"{spelled} = {value};")
@@ -105,7 +107,7 @@ class Module:
 
 @dataclass
 class VerilogNames(Writer):
-    """Spelling of names inside one instance; its ``prefix`` distinguishes nested instances."""
+    """Writer of names and expressions of one subcircuit instance in Verilog-A."""
 
     module: Module
     scope: Scope
@@ -116,7 +118,7 @@ class VerilogNames(Writer):
     part: str = ""
 
     def node(self, name: str) -> str:
-        """Return the name of a node, and declare a new node."""
+        """Return the Verilog-A name of a node; a node that is new is declared."""
         key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
@@ -130,22 +132,22 @@ class VerilogNames(Writer):
         return nodes[local]
 
     def across(self, names: Iterable[str]) -> str:
-        """Return the access function of the voltage between two nodes."""
+        """Return the Verilog-A text of the voltage between two nodes."""
         return f"V({','.join(map(self.node, names))})"
 
     def value(self, text: str) -> str:
-        """Return the spelling of a literal or an ``{expression}`` of a card."""
+        """Return the Verilog-A text of a number or an ``{expression}`` on a card."""
         return self.law(parse_expression(text, where=self.where))
 
     def law(self, tree: Tree) -> str:
-        """Return the spelling of an expression as a factor of a product."""
+        """Return the Verilog-A text of an expression, in parentheses if it is no factor."""
         return self.write(tree, 5)
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the spelling of ``tree``.
+        """Return the Verilog-A text of ``tree``.
 
-        A power is computed from the absolute value, as in ngspice. Real numbers have a point or an
-        exponent, because integers divide differently.
+        As in ngspice, a power is computed from the absolute value of its base. All numbers have a
+        point or an exponent, because Verilog-A truncates quotients of integers.
         """
         match tree:
             case Number(text):
@@ -159,7 +161,7 @@ class VerilogNames(Writer):
         return super().write(tree, level)
 
     def branch(self, source: str) -> str:
-        """Return the name of the branch of a source."""
+        """Return the name of the Verilog-A branch of a voltage source."""
         return f"br_{self.prefix}{source.lower()}"
 
     def name(self, text: str) -> str:
@@ -208,7 +210,8 @@ def print_module(part: Subcircuit) -> dict[str, str]:
 
     Raises
     ------
-    UsageError : a construct has no equivalent in Verilog-A (waveforms, hysteresis, global ground).
+    UsageError : the part contains a construct without an equivalent in Verilog-A (waveforms,
+        hysteresis, global ground).
     """
     if part.no_module:
         raise UsageError(
@@ -228,7 +231,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
         line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     names = VerilogNames(module, scope, pins, params, "")
-    for key, default in scope.defaults.items():  # of a user's subcircuit, without a description
+    for key, default in scope.defaults.items():  # a user's subcircuit may have no description
         if key.lower() not in params:
             spelled, value = module.identifier(key), names.value(default)
             module.declarations.append(f"parameter real {spelled} = {value};")
@@ -276,12 +279,12 @@ def _expand_circuit(names: VerilogNames) -> None:
 
 
 def _convert_comment(line: str) -> str:
-    """Return a comment of a netlist as a comment of a module."""
+    """Return a netlist comment as a Verilog-A comment."""
     return f"// {line[1:].strip()}" if line else ""
 
 
 def _expand_instance(part: Element, outer: VerilogNames) -> None:
-    """Add the contributions of an instance within another one."""
+    """Add the contributions of an instance within another instance."""
     called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.error("no such subcircuit", part.model)
@@ -295,10 +298,10 @@ def _expand_instance(part: Element, outer: VerilogNames) -> None:
 
 
 def _contribute(part: Element, names: VerilogNames) -> None:
-    """Add the contribution of one element.
+    """Add the contribution statement of one element to the module.
 
-    A contribution is a current between the nodes of the element, or a voltage across a branch
-    with its name.
+    The statement contributes a current between the nodes of the element, or a voltage across a
+    branch that has the name of the element.
     """
     module = names.module
     if part.kind == "k":
@@ -313,7 +316,8 @@ def _contribute(part: Element, names: VerilogNames) -> None:
     right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
-        # The time is compared as well, because ngspice also treats the first time step as ``ic``.
+        # The condition also tests the time, because the analysis type in ngspice is ``ic`` even in
+        # the first time step.
         search_interval = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.value(part.settings["ic"])
         clamp = (
@@ -323,7 +327,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
 
 
 def _element_contribution(part: Element, names: VerilogNames, across: str) -> str:
-    """Return the contribution of an element without an expression."""
+    """Return the contribution statement of an element that is no behavioural source."""
     current = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
@@ -346,7 +350,7 @@ def _element_contribution(part: Element, names: VerilogNames, across: str) -> st
         case "i":
             return _steady_value(part, names)
         case "v":
-            # OpenVAF merges the ends of a 0 V source into one node, and sets its current to zero
+            # OpenVAF merges both nodes of a 0 V source, and sets the source's current to zero
             series = f" + {format_number(SOURCE_RESISTANCE)}*{current}"
             return _steady_value(part, names) + (series if _is_sensed(part, names.scope) else "")
     raise part.error(_NO_EQUIVALENT)
@@ -363,14 +367,14 @@ def _is_sensed(source: Element, scope: Scope) -> bool:
 
 
 def _card_value(part: Element, names: VerilogNames) -> str:
-    """Return the only value of a card; a multiplier or a model is rejected."""
+    """Return the only value on a card; reject a card with a multiplier or a model."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_NO_EQUIVALENT)
     return names.value(part.values[0])
 
 
 def _steady_value(part: Element, names: VerilogNames) -> str:
-    """Return the value of a constant source, such as a waveform of zeros."""
+    """Return the value of a source that is constant; a waveform of zeros is constant too."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return names.value(words[0])
@@ -383,7 +387,7 @@ def _steady_value(part: Element, names: VerilogNames) -> str:
 
 
 def _switch_resistance(part: Element, names: VerilogNames) -> str:
-    """Return the resistance of a switch, which depends on its control voltage."""
+    """Return the resistance of a switch as a function of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (lower_names(model.parameters) if model else {})
     worth = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
@@ -399,7 +403,7 @@ def _switch_resistance(part: Element, names: VerilogNames) -> str:
 
 
 def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
-    """Return the voltages that a K element induces in its two inductors."""
+    """Return the statements of the voltages that a K element induces in two inductors."""
     inductors = names.scope.elements_of("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
@@ -438,11 +442,11 @@ def _table_expression(name: str, x: list[float], f: list[float]) -> str:
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck whose subcircuits are replaced by Verilog-A ``modules``.
+    """Return the files of a deck in which Verilog-A ``modules`` replace subcircuits.
 
-    ``openvaf-r NAME.va`` compiles each module to ``NAME.osdi``. Parts that are no modules remain
-    libraries. Vectors inside modules cannot be saved and are omitted. The transient needs no
-    ``uic``, because the modules contain their initial conditions.
+    The compiler command ``openvaf-r NAME.va`` writes ``NAME.osdi``. Parts that cannot be modules
+    remain libraries. The deck does not save vectors inside modules, because ngspice cannot. The
+    transient needs no ``uic``, because the modules contain their initial conditions.
     """
     stems = {p.name.lower(): p.filename.removesuffix(".lib") for p in modules}
     replaced = set(map(attrgetter("filename"), modules))
@@ -465,10 +469,10 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
 
 
 def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return an item of a deck whose subcircuits are replaced by modules.
+    """Return an item of a deck in which modules replace subcircuits.
 
-    An instance of a module is an N card with a model that contains its parameters. A card without
-    an equivalent becomes an empty card.
+    An instance of a module is an N card, with a ``.model`` card that contains the parameters. A
+    card without an equivalent becomes an empty card.
     """
     if isinstance(item, Element) and item.model.lower() in stems:
         name = f"N{item.name[1:]}"
@@ -483,14 +487,14 @@ def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection
     elif item.keyword in _OUTPUT_CARDS or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
     if item.words and not words:
-        # these cards define the printed vectors
+        # the .save cards determine the printed vectors
         notes = () if item.keyword in _OUTPUT_CARDS else item.notes
         return replace(item, keyword="", words=(), notes=notes)
     return replace(item, words=words)
 
 
 def _is_outside_subcircuits(text: str) -> bool:
-    """Return whether a vector belongs to the deck and not to the inside of a subcircuit."""
+    """Return whether all nodes and devices of a vector are outside of subcircuits."""
     result = parse_vector(text)
     if result is None or result.path or result.parameter or "." in result.names[0]:
         return False

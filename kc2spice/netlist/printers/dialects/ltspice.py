@@ -1,4 +1,4 @@
-"""Analog Devices' LTspice: netlists and symbols (``.asy``, file version 4)."""
+"""Dialect of Analog Devices' LTspice: netlists and symbols (``.asy``, file version 4)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.printers.symbol_layout import arrange_pins
 from kc2spice.netlist.spelling import format_number
 
-GRID = 32  # grid units of LTspice; pins must lie on multiples of 16
+GRID = 32  # LTspice units of one grid unit; positions of pins must be multiples of 16
 _SIDE_NAMES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 
 @register_dialect
 class LTspice(Dialect):
-    """Dialect of LTspice, which inserts parameters of behavioural sources as text."""
+    """Dialect of LTspice, which replaces parameters in behavioural sources by their text."""
 
     dialect = "ltspice"
     title = "LTspice"
@@ -28,12 +28,10 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-    bare = True  # parameters are written without braces
+    bare = True  # True while parameters are written without braces
 
     def name(self, text: str) -> str:
-        """Return a name; a parameter has braces, so that a sign of its value cannot follow an
-        operator.
-        """
+        """Return a name; braces around a parameter separate its sign from an operator."""
         word = super().name(text)
         plain = self.bare or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
@@ -46,16 +44,16 @@ class LTspice(Dialect):
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the switch model with all parameters, because the default of ``ROFF`` differs."""
+        """Return the switch model with all parameters, because LTspice has other defaults."""
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def element(self, part: Element) -> str:
-        """Return an element; inductors get no default series resistance."""
+        """Return an element; ``Rser=0`` prevents a default series resistance of inductors."""
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
     def scaled(self, kind: str, name: str, expression: str) -> str:
-        """Return a measurement card with an expression."""
+        """Return a measurement card whose value is an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} PARAM {expression}"
 
     def magnitude(self, vector: str) -> str:
@@ -67,11 +65,11 @@ class LTspice(Dialect):
         return f"re({vector})"
 
     def node(self, path: list[str]) -> str:
-        """Return the name of a node, in which instances have no X."""
+        """Return the name of a node, in which instances are named without the letter X."""
         return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
     def device(self, trace: Trace) -> str:
-        """Return a device name with the letter first, such as ``b:contact:ring0``."""
+        """Return a device name with the element letter first, such as ``b:contact:ring0``."""
         (name,) = trace.names
         inner = (name[0], *_strip_instance_letters(trace.path), name[1:])
         return ":".join(inner) if trace.path else name
@@ -83,12 +81,12 @@ class LTspice(Dialect):
 
 
 def _strip_instance_letters(path: Iterable[str]) -> list[str]:
-    """Return the names of instances without their letter X."""
+    """Return the names of instances without the initial letter X."""
     return [instance[1:] for instance in path]
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Return the symbol of one part, which includes the file ``library``."""
+    """Return the symbol of one part; a schematic with the symbol includes ``library``."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
@@ -105,7 +103,7 @@ def _draw_symbol(part: Subcircuit, library: str) -> str:
     if part.params:
         parameters = " ".join(f"{p.name}={format_number(p.default)}" for p in part.params)
         lines.append(f"SYMATTR SpiceLine {parameters}")
-    for pin in box.places:  # on the outline of the symbol; y points downwards here
+    for pin in box.places:  # pins are on the outline of the symbol; in LTspice, y points downwards
         x = max(-box.width, min(box.width, pin.x)) * GRID
         y = -max(-box.height, min(box.height, pin.y)) * GRID
         lines += [f"PIN {x} {y} {_SIDE_NAMES[pin.side]} 8", f"PINATTR PinName {pin.name}"]

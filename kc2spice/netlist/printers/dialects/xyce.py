@@ -1,4 +1,4 @@
-"""Netlist dialect of the simulator Xyce (Sandia National Laboratories)."""
+"""Dialect of the simulator Xyce (Sandia National Laboratories)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND_NAMES
 from kc2spice.netlist.spelling import format_number, format_rounded
 
-LOOP_TIME_STEP = 1e-6  # s, largest time step if a controller closes a feedback loop
-# largest reltol; below this, a tenth of the reltol of ngspice, for contacts within 1e-5
+LOOP_TIME_STEP = 1e-6  # s, largest time step if a controller may close a feedback loop
+# Largest reltol of Xyce. For a relative error of contacts below 1e-5, Xyce needs a tenth of the
+# reltol of ngspice, if this is smaller.
 MAX_RELTOL = 1e-5
-# V on either side of the threshold, because the switch of Xyce needs a transition
+# V, half of the transition of a switch around its threshold, which Xyce requires.
 SWITCH_BAND = 1e-3
 
 
-_SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}  # names of the scale in measurement cards
+_SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}  # name of the scale on measurement cards
 
 
 @register_dialect
 class Xyce(Dialect):
     """Dialect of Xyce, whose function ``uramp`` lacks the chain rule (release 7.5).
 
-    The second of two ``.options timeint`` replaces the first.
+    Of two cards ``.options timeint``, Xyce uses only the second.
     """
 
     dialect = "xyce"
@@ -38,22 +39,22 @@ class Xyce(Dialect):
     keyword = "PARAMS:"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
-    joined = frozenset({".save", ".options"})  # Xyce uses only the last .options card
+    joined = frozenset({".save", ".options"})  # Xyce uses only the last such card
     functions = COMMON - {"uramp"}
     rewritten = Dialect.rewritten | {"uramp"}
     temperature = "TEMP"
     measure_keyword = ".measure"
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function; ``max(0, x)`` replaces ``uramp(x)``."""
+        """Return a function call; ``max(0, x)`` replaces ``uramp(x)``."""
         if function == "uramp":
             return super().call("max", (Number("0"), *arguments))
         return super().call(function, arguments)
 
     def element(self, part: Element) -> str:
-        """Return a card, without ``IC=`` if the analysis has no ``uic``.
+        """Return the card of an element; without ``uic``, ``IC=`` is omitted.
 
-        ngspice ignores ``IC=`` without ``uic``, Xyce does not.
+        If the analysis has no ``uic``, ngspice ignores ``IC=``, but Xyce applies it.
         """
         if not _starts_from_initial_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
@@ -61,11 +62,11 @@ class Xyce(Dialect):
         return super().element(part)
 
     def directive(self, card: Directive) -> str:
-        """Return the card of an analysis that Xyce runs like ngspice.
+        """Return the card of an analysis for which Xyce has the same results as ngspice.
 
-        The logarithmic range is extended to the next point at or beyond its end, because Xyce stops
-        at the last point before the end. Steps are limited if a controller closes a loop: error
-        control alone loses 5e-4 of a launch. Contacts begin at rest.
+        A logarithmic frequency range is extended to the first point at or beyond its end, because
+        Xyce would stop at the last point before the end. If a controller may close a loop, the time
+        steps are limited: with error control alone, the error of a launch velocity is 5e-4.
         """
         if card.keyword == ".tran":
             nodes = (
@@ -83,16 +84,16 @@ class Xyce(Dialect):
             return card.text
         count, start, stop = (float(value or 0.0) for value in numbers)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
-        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not remove the last point
+        beyond = start * per ** ((steps + 1e-6) / count)  # 1e-6 against rounding errors
         return " ".join([card.keyword, *card.words[:3], format_number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
-        """Return the options with the smaller ``reltol`` that Xyce needs."""
+        """Return the card of the options, with the smaller ``reltol`` that Xyce needs."""
         timed = self.analysis.keyword == ".tran"
         return super().options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
-        """Return a transient with limited time steps if a controller may close a loop."""
+        """Return the card of a transient; its steps are limited if a controller closes a loop."""
         if self.deck and not self.deck.controlled:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -107,7 +108,7 @@ class Xyce(Dialect):
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
     def law(self, part: Element) -> str:
-        """Return the expression of a behavioural source, always in braces."""
+        """Return the expression of a behavioural source in braces."""
         quantity = part.quantity if part.kind == "b" else "value"
         return f"{quantity}={{{self.write(part.law)}}}"
 
@@ -124,9 +125,9 @@ class Xyce(Dialect):
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the keywords that locate an extremum; none in a sweep.
+        """Return the words that measure the position of an extremum; none in a dc sweep.
 
-        In a sweep, Xyce prints a scaled position.
+        In a dc sweep, Xyce would print a scaled position.
         """
         return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
@@ -136,7 +137,7 @@ class Xyce(Dialect):
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the model of a switch, whose ``VON`` and ``VOFF`` must differ.
+        """Return the card of a switch model, whose ``VON`` and ``VOFF`` must differ.
 
         Xyce has no hysteresis.
         """
@@ -155,12 +156,12 @@ class Xyce(Dialect):
 
 
 def _starts_from_initial_states(card: Directive) -> bool:
-    """Return whether an analysis begins from initial states, not from an operating point."""
+    """Return whether an analysis begins at initial states, without an operating point."""
     return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
 
 
 def _initial_nodes(deck: Deck) -> Iterator[str]:
-    """Yield the nodes at which a part within an instance has an initial state."""
+    """Yield the deck nodes at which an element inside an instance has an initial state."""
     for instance in deck.scope.elements_of("x").values():
         called = deck.scope.find(instance.model)
         if called is None:
