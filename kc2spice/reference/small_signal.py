@@ -11,9 +11,10 @@ instead.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain, repeat
 from operator import attrgetter, itemgetter
 from typing import Any
@@ -28,8 +29,9 @@ from kc2spice.reference.equilibrium import Interval, equilibrium
 from kc2spice.reference.system import System, assemble_system
 
 _MAX_BASIS_CONDITION = 1e9  # condition of the eigenvectors beyond which modes have no meaning
-# rates below this fraction of the largest rate are rigid-body modes
+# rates above this fraction of the largest rate are not those of rigid-body modes
 _RIGID_RATE_RATIO = 1e-7
+_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, in units of its rounding error
 CANCELLATION_ROUNDING = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
 # largest effect of the sources on rigid-body modes, relative to their total effect
 _MAX_RIGID_EFFECT = 1e-7
@@ -120,7 +122,7 @@ class LinearisedSystem:
         except np.linalg.LinAlgError:
             return None
         dynamics = J[np.ix_(rows, cols)] + J[np.ix_(rows, algebraic)] @ follow
-        return _FreeMotion(inverse @ dynamics, inverse, follow, cut)
+        return _FreeMotion(inverse @ dynamics, inverse, follow, cut, inner)
 
     @cached_property
     def poles(self) -> np.ndarray:
@@ -187,7 +189,8 @@ class LinearisedSystem:
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
-        drive = sum(reading @ form * rates[:, None] ** j for j, form in enumerate(forms))
+        drives = [reading @ form for form in forms]
+        drive = sum(d * rates[:, None] ** j for j, d in enumerate(drives))
         s0 = self.system.source_values(0.0, 0.0)[:k]
         rest = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
         off = (self.z0 - rest)[cols]
@@ -200,7 +203,34 @@ class LinearisedSystem:
             if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
-        return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
+        still, drift = self._follow_lines(motion, rates, shapes, drives)
+        return Modes(rates, out, terms, np.asarray(drive), reading @ off, level, still, drift)
+
+    def _follow_lines(
+        self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the outputs (sources, ny) ``still u + drift du/dt`` for sources on straight lines.
+
+        With ``a' = rates a + d0 u + d1 du/dt``, the amplitudes of the modes are ``-d0 u / rates -
+        (d0 / rates^2 + d1 / rates) du/dt``. Sums over modes keep the accuracy of differences to
+        the free motion, which at the begin of a steep line are far smaller than the sums.
+        """
+        n, k = self.system.size, len(self.system.sources)
+        rows, cols = self.rows, self.system.differential
+        d0, d1, _ = drives
+        per_rate = 1 / rates[:, None]
+        amplitudes = -d0 * per_rate, -(d0 * per_rate + d1) * per_rate
+        Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :] - self.G[:, n : n + k]
+        lines = []
+        for a, B in zip(amplitudes, (Bs, Bd), strict=True):
+            x, z = (shapes @ a).real, np.zeros((n, k))
+            z[cols], z[~cols] = x, motion.follow @ x - motion.inner @ B[~rows]
+            lines.append(z)
+        slope, offset = lines
+        still = self.C0[:, :n] @ slope + self.C0[:, n : n + k]
+        drift = self.C0[:, :n] @ offset + self.C0[:, n + k :]
+        drift = drift + self.C1[:, :n] @ slope + self.C1[:, n : n + k]
+        return still.T, drift.T
 
     def motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
         """Compute the exact motion up to ``stop`` [s] under the waveforms of the sources.
@@ -219,15 +249,7 @@ class LinearisedSystem:
                 lines += _find_kinks(k, wave, stop)
             elif wave.amplitude:
                 sines.append((k, wave))
-        unit = np.eye(len(waves))
-        small = 1e-5 * np.abs(modes.rates).min()
-        shape = len(waves), len(self.system.names)
-        growing = np.array(list(map(partial(self.respond, small), unit))).real.reshape(shape)
-        decaying = np.array(list(map(partial(self.respond, -small), unit))).real.reshape(shape)
-        still, drift = (growing + decaying) / 2, (growing - decaying) / (2 * small)
-        return ExponentialSolution(
-            self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop
-        )
+        return ExponentialSolution(self, modes, waves, tuple(sorted(lines)), tuple(sines), stop)
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
@@ -252,9 +274,10 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
     are None if the shapes do not form a basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
-    T, Q, k = sla.schur(
-        F.astype(complex), "complex", sort=lambda x: abs(x) > _RIGID_RATE_RATIO * size
-    )
+    limit = _RIGID_RATE_RATIO * size
+    T, Q, k = _sort_by_rate(F, limit)
+    if k < len(F):
+        T, Q, k = _sort_by_rate(F, min(limit, _estimate_rigid_rate(T[k:, k:], size)))
     X = sla.solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if k < len(F) else T[:k, k:]
     rates, S = np.linalg.eig(T[:k, :k])
     if not k or np.linalg.cond(S) > _MAX_BASIS_CONDITION:
@@ -262,6 +285,27 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
     left = Q.conj().T
     reading = np.linalg.solve(S, left[:k] - X @ left[k:])
     return rates, Q[:, :k] @ S, reading, left[k:]
+
+
+def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the Schur form and vectors of ``F``, and the number of rates above ``limit``.
+
+    These rates precede the others.
+    """
+    T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
+    return T, Q, k
+
+
+def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
+    """Estimate the largest rate [1/s] that rounding gives to rigid-body modes.
+
+    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. It
+    shifts a simple rate of zero by ``e``, and the two rates of a rigid-body mode ``x' = c v, v' =
+    0`` by ``sqrt(c e)``. Slower relaxations of a circuit have larger rates.
+    """
+    e = float(np.finfo(float).eps) * size
+    c = float(np.linalg.norm(np.triu(T, 1)))
+    return _RIGID_RATE_ROUNDINGS * max(e, math.sqrt(c * e))
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
@@ -282,13 +326,15 @@ class _FreeMotion:
     """Homogeneous equations ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
 
     ``inverse`` is the inverse of the part of ``G`` that belongs to the states. ``cut`` maps right
-    sides of the algebraic equations to right sides of the states' equations.
+    sides of the algebraic equations to right sides of the states' equations. ``inner`` is the
+    inverse of the part of ``F`` that belongs to the algebraic unknowns.
     """
 
     rates: np.ndarray
     inverse: np.ndarray
     follow: np.ndarray
     cut: np.ndarray
+    inner: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +346,8 @@ class Modes:
     Products of ``out`` (ny, m) and ``drive`` (m, sources) are residues of the poles ``rates`` (m,)
     [1/s]. ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``. ``start``
     (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution for the sources
-    at t = 0.
+    at t = 0. ``still`` (sources, ny) are the static gains, and ``drift`` (sources, ny) the outputs
+    per slope of a source that follows a straight line.
     """
 
     rates: np.ndarray
@@ -309,6 +356,8 @@ class Modes:
     drive: np.ndarray
     start: np.ndarray
     level: np.ndarray
+    still: np.ndarray
+    drift: np.ndarray
 
     @property
     def quality(self) -> np.ndarray:
@@ -325,8 +374,6 @@ class ExponentialSolution:
     waves: tuple[Function, ...]
     kinks: tuple[tuple[float, int, float], ...]  # time, source, jump of its slope
     sines: tuple[tuple[int, Waveform], ...]
-    still: np.ndarray  # (sources, ny) static gains
-    drift: np.ndarray  # (sources, ny) outputs per slope of the source
     stop: float
 
     @property
@@ -357,8 +404,8 @@ class ExponentialSolution:
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
         for k, wave in enumerate(self.waves):
             if wave.is_piecewise_linear:
-                y += np.outer(wave(t) - wave(0.0), self.still[k][outputs])
-                y += np.outer(wave.rate(t, t), self.drift[k][outputs])
+                y += np.outer(wave(t) - wave(0.0), self.modes.still[k][outputs])
+                y += np.outer(wave.rate(t, t), self.modes.drift[k][outputs])
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
