@@ -470,6 +470,7 @@ def balance_energy(
     stored = evaluate_over_time(d.stored_energy)
     dissipated, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
     heat, brought, forces = dissipated, np.zeros_like(dissipated), []
+    converted = 0.0  # work at the pins except those of motion
     given_off = None
     for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
@@ -484,7 +485,8 @@ def balance_energy(
             integrate_cumulatively(evaluate_over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
-        brought = brought + middle * _integrate_steps(pins, time, increase)
+        work = middle * _integrate_steps(pins, time, increase)
+        brought, converted = brought + work, converted + float(np.abs(work).sum())
     brought = brought + _compute_step_work(forces, rise + heat - brought, jumps=bool(slopes))
     missing = np.cumsum(brought - heat - rise)
     entries = {
@@ -495,6 +497,8 @@ def balance_energy(
     if stored[0] != 0.0:
         entries["stored at the start"] = float(stored[0])
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
+    if not stored.any() and not heat.any():  # an ideal transformer brings in nothing as a whole
+        turned = converted
     yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE)
 
 

@@ -13,7 +13,6 @@ from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import positive_parameter
-from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._driver_circuit import (
     COIL,
@@ -48,10 +47,9 @@ from kc2spice.parts.datasheet._resonator import (
     tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import StatedValues
-from kc2spice.physics import Declaration, DeclaredPart, current
-from kc2spice.physics.cards import subcircuit_items
-from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import across_vector, declared_subcircuit
+from kc2spice.physics import Declaration, current
+from kc2spice.physics.part import across_vector
+from kc2spice.physics.part_with_mass import DeclaredPartWithMass
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
     Build,
@@ -132,13 +130,14 @@ def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> Non
         )
 
 
-class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPart[LoudspeakerKeys]):
+class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPartWithMass[LoudspeakerKeys]):
     """Part type ``loudspeaker``: loudspeaker from its Thiele-Small parameters."""
 
     name, title = "loudspeaker", "loudspeaker from its Thiele-Small parameters"
     schema = LoudspeakerKeys
     source = "data sheet"
     noise = ("Rnoise",)
+    moving_pins = ("cone", "frame")
     example = """
 [loudspeaker]
 part = "loudspeaker"
@@ -233,7 +232,7 @@ stop = "1 kHz"
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
-    def _cone(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
+    def mass_declaration(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
         """Return the moving mass, without the air that parts of type radiation contain."""
         driver = self._parameters(part, scene)
         sides = [
@@ -244,23 +243,9 @@ stop = "1 kHz"
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
         return moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
-    def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pin of the cone, whose mass moves."""
-        return ("cone",)
-
     def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Rest:
         """Return the path in equilibrium: the suspension between cone and frame."""
-        return Rest((("cone", "frame"),), inert=("cone",))
-
-    def subcircuits(
-        self, part: Part[LoudspeakerKeys], build: Build, header: Header
-    ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
-        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
-        mass = self._cone(part, build.scene)
-        d = replace(d, given=(*d.given, *mass.given[1:]))  # the motor already has a parameter mms
-        cone, values = subcircuit_items(mass), d.values(part.keys)
-        return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
+        return Rest((self.moving_pins,), inert=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the declaration, and current and voltage of the whole part."""
@@ -278,10 +263,7 @@ stop = "1 kHz"
         if f"{n}.{COIL}" in results:
             results[f"{n}.v"] = laws.wave_difference(f"{n}.plus", f"{n}.minus")
             results[f"{n}.i"] = results[f"{n}.{COIL}"]
-        mass = self._cone(part, build.scene)
-        cone = DeclaredLaw(f"{n}_cone", mass, tuple(mass.defaults.values()))
-        nets = tuple((f"{n}.{pin}", f"{n}_cone.{pin}") for pin in ("cone", "frame"))
-        return replace(equations, laws=(*equations.laws, cone), results=results, nets=nets)
+        return replace(equations, results=results)
 
     def checks(self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Yield the checks of a run."""

@@ -1,0 +1,56 @@
+"""Declared parts whose moving pin has a mass.
+
+The mass is a declaration of its own with separate nodes in the same subcircuit. Its velocity node
+gives the volume velocity or the back-EMF of the part without a derivative of the displacement.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import replace
+
+from kc2spice.core import laws
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.physics.cards import subcircuit_items
+from kc2spice.physics.declaration import Declaration
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.part import DeclaredPart, declared_subcircuit
+from kc2spice.scene.model import Build, JoinedScene, KeysT, Part, WiredScene
+from kc2spice.scene.rows import Rest
+
+
+class DeclaredPartWithMass(DeclaredPart[KeysT]):
+    """Part type of a declaration and of the mass at one of its displacement pins."""
+
+    moving_pins: tuple[str, str]  # pin with the mass, and the pin relative to which it moves
+
+    @abstractmethod
+    def mass_declaration(self, part: Part[KeysT], scene: WiredScene) -> Declaration:
+        """Return the declaration of the mass between :attr:`moving_pins`."""
+
+    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
+        """Return the pin with the mass."""
+        return self.moving_pins[:1]
+
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
+        """Return the paths of the declaration; the velocity of the mass cannot jump."""
+        return replace(super().at_rest(part, scene), inert=self.moving_pins[:1])
+
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
+        """Return the subcircuit of the part with the nodes of its mass."""
+        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
+        mass = self.mass_declaration(part, build.scene)
+        known = {param.name for param in d.given}
+        d = replace(d, given=(*d.given, *(p for p in mass.given if p.name not in known)))
+        cards, values = subcircuit_items(mass), d.values(part.keys)
+        return (declared_subcircuit(header, name, d, values, build.has_noise, cards),)
+
+    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+        """Return the equations of the declaration and of the mass."""
+        equations, name = super().law(part, build), part.name
+        mass = self.mass_declaration(part, build.scene)
+        mass_law = DeclaredLaw(f"{name}_mass", mass, tuple(mass.defaults.values()))
+        nets = tuple((f"{name}.{pin}", f"{name}_mass.{pin}") for pin in self.moving_pins)
+        return replace(equations, laws=(*equations.laws, mass_law), nets=nets)
