@@ -1,0 +1,93 @@
+"""A rigid diaphragm between a displacement pin and two pins of pressure.
+
+With the area S, the mass m, the velocity v of ``a`` relative to ``b`` and the pressures on the two
+sides ::
+
+    U = S v                                  volume velocity out of the pin front, into the pin rear
+    F = m dv/dt + S (p_front - p_rear)       force on the pin a
+
+The area is an ideal transformer between the mechanical and the acoustic network (L. L. Beranek,
+T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Mass, Section, si
+from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.parts.acoustics._fluids import LARGEST_AREA, SMALLEST_AREA
+from kc2spice.physics import Declaration, branch, displacement
+from kc2spice.physics.part_with_mass import DeclaredPartWithMass
+from kc2spice.scene.model import Part, WiredScene
+from kc2spice.scene.parttype import register
+
+
+class DiaphragmKeys(Section):
+    """Area and mass of a rigid diaphragm."""
+
+    area: Annotated[float, si("m2")] = Field(
+        ge=SMALLEST_AREA,
+        le=LARGEST_AREA,
+        description="Area of the diaphragm, projected onto the plane normal to its motion",
+    )
+    mass: Mass = Field(gt=0, description="Mass of the diaphragm without the air that it moves")
+
+
+DIAPHRAGM = Declaration(
+    "diaphragm",
+    "rigid diaphragm or cone that turns motion into sound",
+    DiaphragmKeys,
+    (displacement("x", "a", "b"), branch("pressure", "p", "front", "rear", "flow")),
+    coenergy="-area*x*p",
+    neglected=(
+        ("bending of the diaphragm", "all its points have the same velocity", "not estimated"),
+        ("weight of the diaphragm", "it only shifts the position of rest", "no effect on sound"),
+    ),
+    example="""
+        [cone]
+        part = "diaphragm"
+        area = "1 cm2"
+        mass = "0.1 g"
+        pins = { a = "push.out", front = "air.face" }
+
+        [air]
+        part = "radiation"
+        area = "1 cm2"
+
+        [push]
+        part = "source"
+        kind = "force"
+        ac = "1 N"
+
+        [analysis]
+        type = "ac"
+        start = "100 Hz"
+        stop = "20 kHz"
+    """,
+    rating="not checked; the equations are those of small amplitudes",
+    sign="um and N count along a less b; a diaphragm that moves this way presses fluid out of "
+    "front and draws it in by rear",
+    velocities={"x": "speed_m"},
+)
+
+
+class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
+    """Part type ``diaphragm``: rigid diaphragm or cone that turns motion into sound."""
+
+    moving_pins = ("a", "b")
+
+    def mass_declaration(self, part: Part[DiaphragmKeys], scene: WiredScene) -> Declaration:
+        """Return the mass of the diaphragm."""
+        return Declaration(
+            "mass",
+            "mass of the diaphragm",
+            Section,
+            (displacement("m", *self.moving_pins),),
+            kinetic="0.5*mass*m_rate^2",
+            starts={"m": ("0", "0")},
+            given=(positive_parameter("mass", part.keys.mass, "kg", "mass of the diaphragm"),),
+        )
+
+
+register(Diaphragm(DIAPHRAGM))
