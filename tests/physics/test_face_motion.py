@@ -174,7 +174,7 @@ def test_a_scene_that_states_the_motion_of_a_piston_has_no_warning():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["buzzer_7bb_20_6", "buzzer_ft_27t_4_3a1", "air_transducer"])
+@pytest.mark.parametrize("name", ["buzzer_7bb_20_6", "buzzer_ft_27t_4_3a1", "buzzer_7bb_12_9"])
 def test_scenes_of_the_gallery_state_the_motion_of_their_faces(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
