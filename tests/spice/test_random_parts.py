@@ -625,7 +625,7 @@ def test_a_scene_of_any_parts_is_right(number, tmp_path):
 SHEETS = {"bvd", "crystal", "loudspeaker", "relay"}  # test_datasheet_*.py draws their values
 HEAT = {"heat_body"}  # test_random_heat.py draws its layers, films and pins
 # test_passive_sound.py draws their sizes and fluids
-SOUND = {"radiation", "listener", "cavity", "vent", "tube"}
+SOUND = {"diaphragm", "radiation", "listener", "cavity", "vent", "tube"}
 ELSEWHERE = {
     f"{domain}_{kind}"
     for domain, kinds in {
