@@ -6,12 +6,11 @@ classes of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
 
 from __future__ import annotations
 
-import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core import __version__
+from kc2spice.core.argument_names import naming_arguments
 from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
@@ -198,7 +198,7 @@ def run(
     1.0000 A
     """
     directory = None if out is None else _require_path(out)
-    with _name_arguments("overrides"):
+    with naming_arguments("overrides"):
         loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
     place = (
@@ -312,7 +312,7 @@ def export(
     # imported here, because `run` does not need this module
     from kc2spice.workflow.export import export_scene
 
-    with _name_arguments("values"):
+    with naming_arguments("values"):
         return export_scene(load_scene(scene), _require_path(out), dialect, trust=trust)
 
 
@@ -642,21 +642,6 @@ def _require_path(out: object) -> Path:
     )
 
 
-@contextmanager
-def _name_arguments(overrides: str) -> Iterator[None]:
-    """Name arguments of Python instead of options of the command line in errors of the block.
-
-    ``overrides`` is the argument that corresponds to the option ``--set``.
-    """
-    try:
-        yield
-    except UsageError as error:
-        if error.where is not None:
-            place = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
-            error.where = place.removeprefix("--")
-        raise
-
-
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     """Raise an error for values of a sweep that are not non-empty lists.
 
@@ -751,7 +736,7 @@ def sweep(
     by_name = isinstance(scene, (str, Path))
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
-    with _name_arguments("values"):
+    with naming_arguments("values"):
         definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():

@@ -40,6 +40,7 @@ NAMES_BY_MODULE = {
     "kc2spice.cli.main": "EXAMPLES app",
     "kc2spice.cli.tables": "Caller print_result",
     "kc2spice.core": "cache laws packages progress quantities",
+    "kc2spice.core.argument_names": "name_arguments name_options",
     "kc2spice.core.cache": "load_or_build",
     "kc2spice.core.domains": (
         "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE across_of domain_of"

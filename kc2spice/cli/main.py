@@ -10,8 +10,7 @@ import os
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Container, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,6 +29,7 @@ from kc2spice.cli.tables import (
 )
 from kc2spice.cli.usage import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
+from kc2spice.core.argument_names import naming_options
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.interrupt import end_on_signals
 
@@ -440,7 +440,7 @@ def _reduce(
         return
     options |= {"dc": dc, "shunt": shunt, "power": power, "network": network}
     options |= {"method": method, "solver": solver}
-    with _translate_argument_names(options), caller.progress() as progress:
+    with naming_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.expects_text(result):
         from kc2spice.report.run_page import format_above_band
@@ -476,17 +476,6 @@ def _format_parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
     return f"parameter {parameter['name']}", f"{low:g} … {high:g}{unit}"
 
 
-@contextmanager
-def _translate_argument_names(names: Container[str]) -> Iterator[None]:
-    """Replace argument names in errors of Python calls by options of the command."""
-    try:
-        yield
-    except UsageError as error:
-        if error.where in names:
-            error.where = f"--{error.where}"
-        raise
-
-
 METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
 
 
@@ -506,7 +495,7 @@ def _compare_methods(
                 got=value,
                 expected=expected,
             )
-    with _translate_argument_names(options), caller.progress() as progress:
+    with naming_options(options), caller.progress() as progress:
         result = compare_methods(model, **options, progress=progress)
     if caller.expects_text(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
@@ -551,7 +540,7 @@ def _fit(
             hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
         )
     scene = _load_scene(name, set_)
-    with caller.progress() as progress:
+    with naming_options(("vary", "shunt", "out")), caller.progress() as progress:
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.expects_text(result):

@@ -60,7 +60,7 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
             "the frequency band is missing, and the model has no natural frequency to derive it "
             "from",
             where="band",
-            hint="add a frequency band, such as --band 0 2e4",
+            hint="add a frequency band, such as band=(0, 2e4)",
         )
     return 0.0, float(BAND_MARGIN * rates[-1] / (2 * np.pi))
 

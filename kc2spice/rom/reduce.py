@@ -190,7 +190,14 @@ def choose_band(
 ) -> tuple[float, float]:
     """Return the prescribed band [Hz], otherwise the band of the model, otherwise the default."""
     if not pencil.B.any() or not pencil.C.any():
-        raise UsageError("no input acts on the model, or no output depends on it", where=fom.name)
+        letter = "C" if pencil.B.any() else "B"
+        raise UsageError(
+            "no input acts on the model" if letter == "B" else "no output depends on the model",
+            where=fom.name,
+            got=f"only zeros in the matrix {letter}",
+            expected="at least one entry in each of the matrices B and C",
+            hint=f"export the matrix {letter} again",
+        )
     band = band or fom.band or natural_band(pencil)
     if not 0 <= band[0] < band[1] <= MAX_FREQUENCY:
         expected = f"0 <= f0 < f1 <= {MAX_FREQUENCY:g} in Hz"
@@ -199,7 +206,9 @@ def choose_band(
             where="band",
             got=f"{band[0]:g} to {band[1]:g} Hz",
             expected=expected,
-            hint="write the lower frequency first, such as 0 and 20000",
+            hint=f"write band=({band[1]:g}, {band[0]:g})"
+            if 0 <= band[1] < band[0] <= MAX_FREQUENCY
+            else "for example band=(0, 20e3)",
         )
     return float(band[0]), float(band[1])
 
@@ -372,7 +381,7 @@ def require_valid(target: Target) -> None:
             where="reduce",
             got="neither of them" if order is None else f"tolerance {tolerance}, order {order}",
             expected="tolerance, the largest relative error, or order, the number of states",
-            hint="delete the tolerance or the order" if order is not None else "add tolerance=1e-4",
+            hint="leave out order" if order is not None else "add tolerance=1e-4",
         )
     if tolerance is not None and not MIN_TOLERANCE <= tolerance < 1:
         raise UsageError(

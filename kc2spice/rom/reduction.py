@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -198,12 +199,15 @@ def reduce(
         tolerance = quantity(tolerance, "", where="tolerance")
         with solving_with(solver):
             return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
+    hint = "build a model, such as kc.LinearModel(M=M, K=K, B=B)"
+    if isinstance(model, (str, PurePath)):
+        hint = f"write kc.reduce(kc.read_model({str(model)!r}), ...)"
     raise UsageError(
         "this object is not a linear model",
         where="model",
         got=f"{type(model).__name__} {model!r}"[:120],
         expected="a kc.LinearModel",
-        hint="read a model by kc.read_model(PATH), or build one by kc.LinearModel(M=M, K=K, B=B)",
+        hint=hint,
     )
 
 

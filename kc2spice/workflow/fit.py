@@ -16,6 +16,7 @@ from kc2spice.bodies.readers.measured import (
     parse_shunt_resistance,
     read_measured,
 )
+from kc2spice.core.argument_names import naming_arguments
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
@@ -48,6 +49,7 @@ RANGES_FILE = "box.toml"
 PAGE_FILE = "report.html"
 
 
+@naming_arguments()
 def fit(
     scene: Scene | str | Path | Mapping[str, Any],
     part: str,
@@ -229,7 +231,6 @@ def _require_keys(vary: object, part: str) -> None:
         raise UsageError(
             "the option --vary is missing",
             where=part,
-            got="no --vary",
             expected="--vary KEY, or --vary KEY=LOW:HIGH",
             hint="add for example  --vary damping.quality=10:200",
         )

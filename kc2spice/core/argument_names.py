@@ -1,0 +1,106 @@
+"""Names of Python arguments and of command-line options in errors.
+
+Both interfaces share the functions that raise errors. The functions of this module replace the
+names of one interface by the names of the other: ``tolerance=1e-4`` by ``--tolerance 1e-4``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+from kc2spice.core.errors import UsageError
+
+_PAIR_OPTION = "band"  # option with two values
+_LIST_OPTION = "vary"  # option that may be repeated, and whose argument is a list
+# A value contains a digit, a capital letter or an equals sign; otherwise the next word is prose.
+_WORD = r"(?:'[^']*'|(?=\S*[\dA-Z=])\S*[^\s,;:.)])"
+_OPTION = re.compile(
+    rf"(?P<noun>options? )?--(?P<name>[a-z][a-z-]*)(?: (?P<value>{_WORD}(?: {_WORD})?))?"
+)
+_ARGUMENT_VALUE = r"(?P<value>\((?P<pair>[^)]*)\)|\['(?P<item>[^']*)'\]|'[^']*'|[^\s,;:)]+)"
+
+
+def name_options(error: UsageError, names: Iterable[str]) -> None:
+    """Replace the arguments ``names`` in an error by options of the command line.
+
+    >>> error = UsageError("no band", where="band", hint="add band=(0, 20e3), or leave out order")
+    >>> name_options(error, ["band", "order"])
+    >>> print(error)
+    --band: no band
+      next:     add --band 0 20e3, or leave out --order
+    """
+    known = "|".join(map(re.escape, names))
+    assigned = re.compile(rf"(?<![\w.\-])(?P<name>{known})={_ARGUMENT_VALUE}")
+    alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({known})\b(?!=)")
+
+    def write_option(found: re.Match[str]) -> str:
+        value = found["item"] or found["value"]
+        if found["pair"] is not None:
+            value = found["pair"].replace(",", "")
+        return f"--{found['name']} {value}"
+
+    def translate(text: str) -> str:
+        options = alone.sub(r"\1 --\2", assigned.sub(write_option, text))
+        return re.sub(r"\bargument(s?) --", r"option\1 --", options)
+
+    _translate(error, translate)
+    if error.where is not None and re.fullmatch(known, error.where):
+        error.where = f"--{error.where}"
+
+
+def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
+    """Replace options of the command line in an error by arguments of a Python call.
+
+    ``overrides`` is the argument that corresponds to the option ``--set``.
+
+    >>> error = UsageError("no shunt", where="--shunt", hint="add for example  --shunt '100 Ohm'")
+    >>> name_arguments(error)
+    >>> print(error)
+    shunt: no shunt
+      next:     add for example  shunt='100 Ohm'
+    """
+
+    def write_argument(found: re.Match[str]) -> str:
+        name, value = found["name"], found["value"]
+        noun = (found["noun"] or "").replace("option", "argument")
+        if value is None:
+            return f"{noun}{name}"
+        first, blank, second = value.partition(" ") if value[0] != "'" else (value, "", "")
+        if name == _PAIR_OPTION:
+            return f"{noun}{name}=({first}, {second})"
+        written = f"['{first}']" if name == _LIST_OPTION else first
+        return f"{noun}{name}={written}{blank}{second}"
+
+    _translate(error, lambda text: _OPTION.sub(write_argument, text))
+    if error.where is not None:
+        place = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
+        error.where = place.removeprefix("--")
+
+
+def _translate(error: UsageError, translate: Callable[[str], str]) -> None:
+    """Translate message, expectation and next action of an error."""
+    error.message = translate(error.message)
+    error.expected = error.expected and translate(error.expected)
+    error.hint = error.hint and translate(error.hint)
+
+
+@contextmanager
+def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
+    """Name arguments of Python instead of options of the command line in errors of the block."""
+    try:
+        yield
+    except UsageError as error:
+        name_arguments(error, overrides)
+        raise
+
+
+@contextmanager
+def naming_options(names: Iterable[str]) -> Iterator[None]:
+    """Name options of the command line instead of arguments of Python in errors of the block."""
+    try:
+        yield
+    except UsageError as error:
+        name_options(error, names)
+        raise
