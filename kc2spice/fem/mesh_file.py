@@ -41,6 +41,7 @@ from kc2spice.fem.mesh_nodes import merge_nodes, require_joined
 
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
 # First bytes of each format, and the file name for its reader.
 FILE_FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
@@ -112,7 +113,9 @@ class GroupedMesh:
             raise unknown("the mesh has no such group", name, sorted(self.groups), where)
         if not result.members.size:
             expected = "a group with elements in the mesh"
-            raise UsageError("this group is empty", where=where, got=name, expected=expected)
+            filled = [key for key, group in self.groups.items() if group.members.size]
+            hint = f"use a group that is not empty: {list_candidates(name, filled)}"
+            raise wrong(where, "this group is empty", name, expected, hint)
         if codimensions and result.codimension not in codimensions:
             kinds = ("elements", "faces", "curves", "points")
             if self.mesh.dim() == 2:
@@ -123,7 +126,10 @@ class GroupedMesh:
             expected = (
                 f"a group of {needed}: {list_candidates(name, fitting) or 'the mesh has none'}"
             )
-            raise wrong(where, f"this group does not consist of {needed}", got, expected)
+            hint = f"write {fitting[0]} in place of {name}" if fitting else (
+                f"add a group of {needed} to the mesh"
+            )  # fmt: skip
+            raise wrong(where, f"this group does not consist of {needed}", got, expected, hint)
         return result
 
 
@@ -153,14 +159,15 @@ def read_mesh(
     """
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
-        raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
+        problem = "a STEP file states its own unit"
+        raise wrong("unit", problem, f"{unit:g} m", "no unit, or mm", "delete the key unit")
     cad = path.suffix.lower() in CAD_SUFFIXES
     if cad == (size is None):
         if cad:
             expected = 'a length such as "1 mm"'
-            raise wrong(
-                "size", "the element size is missing, which a CAD file needs", expected=expected
-            )
+            hint = 'add for example  size = "1 mm"'
+            problem = "the element size is missing, which a CAD file needs"
+            raise wrong("size", problem, expected=expected, hint=hint)
         problem = f"size has no effect on a {path.suffix} file, which contains elements already"
         raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")
     if picks and not cad:
@@ -192,14 +199,14 @@ def length_unit(path: Path, unit: str | None) -> float:
     sides = measure_extent(path)
 
     def in_millimetres(scale: float) -> str:
-        return " x ".join(f"{scale * side:.4g}" for side in sides)
+        return " x ".join(f"{float(f'{scale * side:.4g}'):.12g}" for side in sides)
 
     sizes = (
         f'"{name}" if it is {in_millimetres(1e3 * quantity(f"1 {name}", "m"))} mm'
         for name in LENGTH_UNITS_ACCEPTED
     )
     problem = f"a {path.suffix} file does not state its unit of length"
-    hint = 'state it beside mesh, such as unit = "mm"'
+    hint = 'add  unit = "mm"  below mesh, if the size in mm is right'
     raise wrong("unit", problem, f"{in_millimetres(1.0)} in that unit", ", ".join(sizes), hint)
 
 
@@ -229,7 +236,13 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
     except ValueError as error:
         reader = "meshio" if path.suffix.lower() in MESHIO_READERS else "gmsh"
         problem = f"{reader} cannot read or mesh this file"
-        raise UsageError(problem, where=str(path), got=str(error)) from None
+        raise UsageError(
+            problem,
+            where=path.name,
+            got=str(error),
+            expected=f"a complete {path.suffix} file with volume elements",
+            hint=f"export {path.name} again from the mesher; the file may be truncated",
+        ) from None
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
@@ -245,18 +258,24 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """
     known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
+        hint = "save the volume mesh as .msh, such as with gmsh"
+        if path.suffix.lower() in SURFACE_SUFFIXES:
+            hint = "save the CAD model as .step: this file contains surfaces, not volumes"
         raise wrong(
-            str(path),
+            path.name,
             "this file is not a mesh or CAD file in a supported format",
             path.suffix or "a name without suffix",
-            f"a file that ends with {', '.join(FILE_FORMATS)}",
-            "save the mesh as .msh with gmsh",
+            f"a file that ends with {list_candidates(path.suffix, FILE_FORMATS)}",
+            hint,
         )
     if head is None:
         if not path.is_file():
             return
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
+    if not head.strip():
+        hint = f"export {path.name} again from the mesher"
+        raise wrong(path.name, "this file is empty", None, f"a {path.suffix} file", hint)
     magic = known[0]
     got, expected = head[:20], f"a file that begins with {magic.decode(errors='backslashreplace')}"
     hint = f"export the file again as {path.suffix}"
@@ -266,7 +285,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
     raise wrong(
-        str(path),
+        path.name,
         "the content of this file does not match its suffix",
         repr(got)[1:],
         expected,
@@ -285,7 +304,8 @@ def _read_content(path: Path) -> bytes:
             hint = f"copy the file to {path}, or correct the key mesh"
             raise wrong(str(path), "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"this file cannot be read: {reason}", where=str(path)) from None
+        hint = f"check the permissions and the size of {path}"
+        raise wrong(str(path), f"this file cannot be read: {reason}", None, None, hint) from None
     require_format(path, data[:_HEAD_BYTES])
     if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
         hint, expected = "export the file again", "a line -1 before and after each dataset"

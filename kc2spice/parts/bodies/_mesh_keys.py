@@ -122,6 +122,8 @@ def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[U
     except UsageError as error:
         if error.where == "unit":
             error.where = f"{part.name}.unit"
+        elif error.where == Path(str(part.keys.mesh)).name:
+            error.where, error.got = f"{part.name}.mesh", error.got or repr(part.keys.mesh)
         yield error
 
 

@@ -25,12 +25,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, ValidationInfo, model_validator
 
 from kc2spice.bodies import device as fe
 from kc2spice.bodies.undamped import FiniteElementModel
@@ -312,7 +313,7 @@ class BodyKeys(MeshKeys):
         return tuple(result)
 
     @model_validator(mode="after")
-    def _check_consistency(self) -> BodyKeys:
+    def _check_consistency(self, info: ValidationInfo) -> BodyKeys:
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise ValueError(
@@ -339,8 +340,8 @@ class BodyKeys(MeshKeys):
         if not self.electrodes and not self.ports:
             raise invalid_value_error(
                 "a body needs electrodes or ports",
-                'electrodes = { NAME = "SURFACE OF THE MESH" }, or a list of ports',
-                hint='add for example  ports = [{ name = "tip", at = "SURFACE", axis = "z" }]',
+                "electrodes, each with a group of faces, or ports, each with a group or a point",
+                hint=f"add for example  {_write_terminals(self, info)}",
             )
         names = Counter([*names_of(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
@@ -349,6 +350,27 @@ class BodyKeys(MeshKeys):
                 f"several ports or electrodes have the same name: {', '.join(sorted(twice))}"
             )
         return self
+
+
+def _write_terminals(keys: BodyKeys, info: ValidationInfo) -> str:
+    """Write electrodes on a piezoelectric group of the mesh, otherwise a port at a group of faces.
+
+    Without such groups, it is a port at a point.
+    """
+    place, clamped = "at = [0, 0, 0]", {item for item in keys.fixed if isinstance(item, str)}
+    with suppress(UsageError):
+        read = read_groups(keys, (info.context or {}).get("home", Path()), 0)
+        faces = {k: g.members for k, g in read.groups.items() if g.codimension == 1 and k}
+        active = [k for k, item in keys.materials.items() if material(item, k).piezoelectric]
+        cells = [read.groups[k].members for k in active if k in read.groups]
+        if cells:
+            touching = np.any(np.isin(read.mesh.f2t, np.concatenate(cells)), axis=0)
+            plated = [k for k, members in faces.items() if np.all(np.take(touching, members))]
+            if len(plated) > 1:
+                return f'electrodes = {{ anode = "{plated[0]}", cathode = "{plated[1]}" }}'
+        free = [name for name in faces if name not in clamped]
+        place = f'group = "{free[0]}"' if free else place
+    return f'ports = [{{ name = "tip", {place}, axis = "z" }}]'
 
 
 def device(
