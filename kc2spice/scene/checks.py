@@ -46,6 +46,8 @@ class Check:
     The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
     of a transient. ``distance`` is the distance of a motion from the limit, on either side.
     ``travel`` is the range of this motion. ``distance`` and ``travel`` have the unit of the check.
+    ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. A
+    run that violates such a check leaves no files, because the input is the cause.
     """
 
     name: str
@@ -61,6 +63,8 @@ class Check:
     loaded: bool = False
     distance: float = math.inf
     travel: float = 0.0
+    found: str = ""
+    accepted: str = ""
 
     @property
     def passed(self) -> bool:
@@ -127,8 +131,8 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
             raise SimulationError(
                 f"{cause} (check: {name})" if colon else f"a check of the result failed: {name}",
                 where=where,
-                got=value,
-                expected=f"at most {limit}",
+                got=check.found or value,
+                expected=check.accepted or f"at most {limit}",
                 hint=action or check.advice,
             )
 

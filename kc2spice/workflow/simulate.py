@@ -248,12 +248,16 @@ def simulator_cpu(*, shared: bool) -> float:
 
 @contextmanager
 def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
-    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``."""
+    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
+
+    A run beyond the range of a model leaves no files, because the error states the key to change.
+    """
     folder = None if out is None else _failure_folder(Path(out).absolute())
     try:
         yield
     except SimulationError as error:
-        if folder is not None:
+        violated = error.violated if isinstance(error, RetriesFailedError) else ()
+        if folder is not None and not any(check.accepted for check in violated):
             with contextlib.suppress(OSError):  # a full disk must not hide the first error
                 shutil.rmtree(folder, ignore_errors=True)
                 shutil.copytree(work, folder)

@@ -82,6 +82,8 @@ DENSITY_RATIO = 4
 LOOKUP_POINTS = 201  # points of each lookup; the error between points is 6e-6 of the largest force
 # Largest error of the spline between heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
+# suggested launch velocity, relative to the one with which a flight reaches the end of the table
+KICK_MARGIN = 0.85
 COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), per volume: 385 J/(kg K) at 8960 kg/m3
 COIL_NAMES = ("lower", "upper")
 TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
@@ -507,11 +509,18 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
         _, floor, _, ceiling = air_section(part.keys)
         if y.max() > ceiling or y.min() < floor:
-            remedy = "kick or throw the sphere with less energy"
+            remedy = _advise_less_energy(build.scene, y, table)
         advice = f"the sphere left the field table: {remedy}"
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
         check = Check("table_left", distance_outside(table, y), 0.0, "m", advice, action)
-        yield replace(check, distance=distance, travel=travel)
+        yield replace(
+            check,
+            distance=distance,
+            travel=travel,
+            found=f"heights from {_format_height(y.min())} to {_format_height(y.max())}",
+            accepted=f"heights from {_format_height(table.y[0])} to {_format_height(table.y[-1])}, "
+            "the range of the table",
+        )
 
     def figures(
         self, part: Part[Coils], build: Build, waves: Waveforms
@@ -621,6 +630,33 @@ def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
 def _format_end(height: float) -> str:
     """Return an end [mm] of a force table that contains a height [m] of the sphere, as text."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
+
+
+def _format_height(height: float) -> str:
+    """Return a height [m] in mm with four digits."""
+    return f"{1e3 * height:.4g} mm"
+
+
+def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
+    """Advise a smaller kick of a sphere whose heights ``y`` [m] leave the table.
+
+    The height of a flight is proportional to the square of the launch velocity, which is
+    proportional to the voltage of the kick.
+    """
+    travel, room = float(y.max() - y[0]), float(table.y[-1] - y[0])
+    if y.max() <= table.y[-1]:
+        travel, room = float(y[0] - y.min()), float(y[0] - table.y[0])
+    share = KICK_MARGIN * math.sqrt(room / travel) if room > 0 else 0.0
+    for part in scene.of("piezo_stack") if share else ():
+        drive = getattr(part.keys, "drive", None)
+        if drive is not None:
+            voltage = float(f"{share * drive.voltage:.2g}")
+            return f'lower the kick, such as {part.name}.drive.voltage = "{voltage:g} V"'
+    for part in scene.of("throw") if share else ():
+        velocity = float(f"{share * getattr(part.keys, 'velocity', 0.0):.2g}")
+        return f'lower the velocity, such as {part.name}.velocity = "{velocity:g} m/s"'
+    names = ", ".join(part.name for part in scene.of("source"))
+    return f"lower the source that accelerates the sphere: {names}"
 
 
 def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
