@@ -380,7 +380,7 @@ def run_sweep(
     True
     """
     start = begin = time.monotonic()
-    with closing(_open_rows(definition, out, table_format)) as rows:
+    with closing(_open_rows(definition, out, table_format)) as rows, rows.removing_empty_file():
         done = set()
         for index, outcome in rows.outcomes.items():
             if not outcome.interrupted and (outcome.failure is None or not retry_failed):

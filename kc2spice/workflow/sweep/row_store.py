@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -47,6 +48,7 @@ class RowStore:
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
         self.path, self.outcomes, self.failed = path, dict[int, PointResult](), set[int]()
+        self._new_folder = not path.exists() and not any(path.parent.iterdir())
         if path.is_symlink() or (path.exists() and not path.is_file()):
             raise UsageError(
                 "this file is not a results file of a sweep", where=str(path), hint="remove it"
@@ -107,6 +109,20 @@ class RowStore:
     def close(self) -> None:
         """Close the file."""
         self._rows.close()
+
+    @contextmanager
+    def removing_empty_file(self) -> Iterator[None]:
+        """After an error, remove a file without rows, and a folder that contains only this file."""
+        try:
+            yield
+        except BaseException:
+            if not self.outcomes:
+                self.close()
+                with suppress(OSError):
+                    self.path.unlink()
+                    if self._new_folder:
+                        self.path.parent.rmdir()
+            raise
 
 
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
