@@ -164,6 +164,14 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
         if card.keyword == ".save":
             saved.update(map(parse_vector, map(str.lower, card.words[1:])))
     missing = [name for name in original.saved_vectors if parse_vector(name.lower()) not in saved]
+    if saved and parse_vector("all") not in saved and len(missing) == len(original.saved_vectors):
+        raise UsageError(
+            "this deck is not a deck of this scene",
+            where=str(path),
+            got=f"a deck that saves none of the vectors of {original.name}",
+            expected=f".save with {', '.join(missing[:5])}{', …' if len(missing) > 5 else ''}",
+            hint=f"edit a copy of the deck that  kc2spice export {original.name}  writes",
+        )
     if saved and parse_vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain
 from operator import attrgetter
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
@@ -27,6 +27,8 @@ from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instan
 from kc2spice.netlist.spelling import split_infix_unit
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
+# Types of the models of elements.
+_MODEL_TYPES = {"d": "D", "q": "NPN", "j": "NJF", "m": "NMOS", "s": "SW", "w": "CSW", "z": "NMF"}
 # Parasitic settings on element cards of LTspice, and the equivalent separate elements.
 _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
@@ -108,7 +110,8 @@ def _check_cards(scope: Scope) -> Iterator[UsageError]:
         first = scope.elements_by_key[part.key]
         if first is not part:
             other = f"another name; the first {part.key} is in {first.where}"
-            yield part.error("two parts have one name", part.name, other)
+            hint = f"rename this element, such as {part.name}_2"
+            yield part.error("two elements have the same name", part.name, other, hint)
     kinds = {"v": scope.nodes | GROUND_NAMES, "i": scope.elements_of("vlehb").keys()}
     for card in (*scope.commands, *scope.elements):
         if isinstance(card, Element):
@@ -122,8 +125,8 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Yield the mistakes on the card of a subcircuit instance."""
     called = scope.find(part.model)
     if called is None:
-        near = _suggest_name(part.model, scope.subcircuits)
-        yield part.error("no such subcircuit", part.model, near)
+        message, hint = "no such subcircuit", f"add a .subckt {part.model} to this file"
+        yield _make_unknown_name_error(part, message, part.model, scope.subcircuits, hint)
         return
     if len(part.nodes) != len(called.pins):
         short = len(part.nodes) < len(called.pins)
@@ -132,17 +135,19 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
             f"{'missing' if short else 'too many'} pins of {called.name}: {' '.join(which)}",
             f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
+            f"add the nodes of {' '.join(which)}" if short else f"delete {' '.join(which)}",
         )
     for param in part.settings:
         if param not in called.defaults:
-            near = _suggest_name(param, called.defaults)
-            yield part.error(f"{called.name} has no such parameter", param, near)
+            message, hint = f"{called.name} has no such parameter", f"delete {param} from this line"
+            yield _make_unknown_name_error(part, message, param, called.defaults, hint)
 
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Yield the mistakes in the model, parameters and controlling sources of an element."""
     if part.model and part.model.lower() not in scope.models:
-        yield part.error("no such model", part.model, _suggest_name(part.model, scope.models))
+        hint = f"add the line  .model {part.model} {_MODEL_TYPES.get(part.kind, 'TYPE')}"
+        yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
     for param in part.settings if part.kind in "rlcvi" else ():
         if instead := _PARASITIC_ELEMENTS.get(param):
             yield part.error(
@@ -156,13 +161,16 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
         if number := split_infix_unit(value):  # ngspice ignores all digits after the letter
             integer, unit, decimals = number
             message = f"ngspice reads {value} as {integer}{unit}"
-            yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{unit}")
+            plain = f"{integer}.{decimals}{unit}"
+            yield part.error(message, f"{value} of {part.name}", plain, f"write {plain}")
     kind = "l" if part.kind == "k" else "v"
     for source in map(str.lower, part.sources):
         item = scope.elements_by_key.get(source)
         if item is None or item.kind != kind:
-            near = _suggest_name(source, scope.elements_of(kind))
-            yield part.error("no such controlling part", source, near)
+            what = "inductor" if kind == "l" else "voltage source"
+            message, hint = f"no such {what}", f"add the {what} {source} to this netlist"
+            known = scope.elements_of(kind)
+            yield _make_unknown_name_error(part, message, source, known, hint)
 
 
 def _list_expressions(card: Card) -> Iterator[str]:
@@ -201,18 +209,23 @@ def _check_expression(
     for leaf in walk_tree(tree):
         match leaf:
             case Name(name) if name.lower() not in BUILT_IN_NAMES.union(scope.params):
-                yield card.error("no such parameter", name, _suggest_name(name, scope.params))
+                message, hint = "no such parameter", f"add the line  .param {name}=VALUE"
+                yield _make_unknown_name_error(card, message, name, scope.params, hint)
             case CircuitVariable(kind, names):
                 for name in map(str.lower, names):
                     if name not in kinds[kind]:
-                        what = f"no such {'node' if kind == 'v' else 'source'}"
-                        yield card.error(what, name, _suggest_name(name, kinds[kind]))
+                        what = "node" if kind == "v" else "source"
+                        hint = f"connect an element to {name}"
+                        hint = hint if kind == "v" else f"add the voltage source {name}"
+                        yield _make_unknown_name_error(
+                            card, f"no such {what}", name, kinds[kind], hint
+                        )
             case Call(name) if law and name not in functions:
-                near = _suggest_name(name, functions)
-                yield card.error("ngspice has no such function", name, near)
+                message, hint = "ngspice has no such function", f"define it: .func {name}(x) {{…}}"
+                yield _make_unknown_name_error(card, message, name, functions, hint)
             case Binary("^", _, power) if law and power in _ODD_NUMBERS:
                 message = "ngspice takes odd powers of the absolute value"
-                yield card.error(message, card.written, "a product")
+                yield card.error(message, card.written, "a product", "write x*x*x for x^3")
 
 
 def _check_connections(
@@ -241,7 +254,7 @@ def _check_connections(
                 yield part.error(
                     f"floating port: nothing else is wired to node {node}",
                     f"pin {pin} of {part.name}",
-                    _suggest_name(node, uses.keys() - {node}),
+                    next(iter(difflib.get_close_matches(node, uses.keys() - {node}, 1)), None),
                     f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
                 )
 
@@ -251,9 +264,12 @@ def _card_text(card: Card) -> str:
     return card.text if isinstance(card, Directive) else card.written
 
 
-def _suggest_name(name: str, known: Collection[str]) -> str | None:
-    """Suggest the most similar known name, or all known names if they are few."""
+def _make_unknown_name_error(
+    card: Card, message: str, name: str, known: Collection[str], otherwise: str
+) -> UsageError:
+    """Make the error of a name that a netlist lacks; ``otherwise`` is the advice without a
+    similar name."""
+    expected = f"one of {list_candidates(name, sorted(known))}" if known else None
     near = difflib.get_close_matches(name.lower(), list(known), 1)
-    if near:
-        return f"{near[0]}, perhaps"
-    return ", ".join(sorted(known)) if 0 < len(known) <= 12 else None
+    hint = f"did you mean {near[0]!r}?" if near else otherwise
+    return card.error(message, name, expected, hint)

@@ -172,7 +172,7 @@ def _read_items(
     result: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
-            raise s.error(".ends without .subckt")
+            raise s.error(".ends without .subckt", hint="delete this line")
         if s.keyword == ".ends" or not s.keyword:
             if s.keyword or head is None:
                 return tuple(result), s.notes
@@ -186,7 +186,10 @@ def _read_items(
         if s.keyword == ".end":
             break
     if head is not None:
-        raise head.error("subcircuit is not closed", expected=f".ends {head.words[1]}")
+        name = head.words[1] if len(head.words) > 1 else ""
+        end = f".ends {name}".strip()
+        hint = f"add the line  {end}  below the last element of {name or 'the subcircuit'}"
+        raise head.error("this subcircuit has no end", expected=end, hint=hint)
     return tuple(result), ()
 
 
@@ -194,11 +197,13 @@ def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     """Read a subcircuit that begins with the card ``s``."""
     _, *operands = s.plain_words
     if not operands:
-        raise s.error("subcircuit has no name")
+        raise s.error("this subcircuit has no name", hint="write  .subckt NAME PIN1 PIN2")
     pins, assigned = _separate_assignments(operands[1:])
     low = list(map(str.lower, pins))
     if len(set(low)) < len(low):
-        raise s.error("a pin name stands twice", " ".join(low))
+        twice = next(pin for pin in low if low.count(pin) > 1)
+        hint = f"rename the second pin {twice}"
+        raise s.error(f"the pin {twice} stands twice", " ".join(pins), hint=hint)
     defaults = _read_assignments(assigned, s)
     items, closing = _read_items(cards, s)
     return Circuit(operands[0], tuple(pins), defaults, items, closing, **_card_origin(s))

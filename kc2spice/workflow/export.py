@@ -10,7 +10,11 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
+from kc2spice.netlist.printers.dialect_registry import (
+    deck_dialects,
+    dialect_names,
+    unknown_dialect_error,
+)
 from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.netlist.transforms import make_array_deck
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
@@ -49,12 +53,10 @@ def export_scene(
     """
     known = dialect_names() if count is None else deck_dialects()
     if dialect not in known:
-        message = (
-            "this dialect does not exist"
-            if count is None
-            else "this dialect does not support an array of copies"
-        )
-        raise unknown(message, dialect, known, "--dialect")
+        if count is None or dialect not in dialect_names():
+            raise unknown_dialect_error(dialect, known)
+        message = "this dialect does not support an array of copies"
+        raise unknown(message, dialect, known, "--dialect", advice="leave out --count")
     clock, selected = Clock(progress), require_solver(solver, "--solver")
     with stage_directory(out) as work, solving_with(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)

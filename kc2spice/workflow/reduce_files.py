@@ -25,7 +25,6 @@ from kc2spice.core.errors import (
     MissingToolError,
     UsageError,
     list_candidates,
-    unknown,
 )
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progress
@@ -35,7 +34,7 @@ from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.printers.dialect_registry import dialect_names
+from kc2spice.netlist.printers.dialect_registry import dialect_names, unknown_dialect_error
 from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import full_model_without_scene, scene_band
@@ -620,7 +619,7 @@ def export_rom(
     written.
     """
     if dialect not in dialect_names():
-        raise unknown("this dialect does not exist", dialect, dialect_names(), "--dialect")
+        raise unknown_dialect_error(dialect, dialect_names())
     path = Path(path)
     reduced, part = _read_part(path, dense)
     deck = first_deck(reduced, part)

@@ -7,6 +7,7 @@ packages declare their dialects as entry points of the group :data:`ENTRY_POINT_
 from __future__ import annotations
 
 import pkgutil
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
@@ -109,6 +110,31 @@ def dialect_names() -> tuple[str, ...]:
     return (*deck_dialects(), VERILOG_A)
 
 
+# Simulators without a printer, and the dialect whose files they read.
+_COMPATIBLE_DIALECTS = {
+    "pspice": "ltspice",
+    "orcad": "ltspice",
+    "tina": "ltspice",
+    "simetrix": "ltspice",
+    "hspice": "xyce",
+    "spectre": "verilog-a",
+    "ads": "verilog-a",
+    "veriloga": "verilog-a",
+    "va": "verilog-a",
+    "kicad": "ngspice",
+    "spice3": "ngspice",
+    "spice": "ngspice",
+}
+
+
+def unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
+    """Make the error of an unknown dialect, with the dialect that is most similar to it."""
+    error = unknown("this dialect does not exist", name, known, "--dialect")
+    if (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
+        error.hint = f"try {similar}, the dialect that is most similar to {name}"
+    return error
+
+
 def find_dialect(name: str) -> type[Dialect]:
     """Return the printer class of a dialect, and import the module of the class if needed.
 
@@ -122,5 +148,5 @@ def find_dialect(name: str) -> type[Dialect]:
         dialect = load_plugin(ENTRY_POINT_GROUP, name)
         _dialects[name] = _require_dialect(dialect, f"entry point {name} of {ENTRY_POINT_GROUP}")
     if name not in _dialects:
-        raise unknown("this dialect does not exist", name, dialect_names(), "--dialect")
+        raise unknown_dialect_error(name, dialect_names())
     return _dialects[name]

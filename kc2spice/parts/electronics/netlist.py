@@ -285,7 +285,9 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
             "no such subcircuit",
             repr(part.keys.subckt),
             list_candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
-            did_you_mean(part.keys.subckt, known),
+            did_you_mean(part.keys.subckt, known)
+            or (f'write  subckt = "{next(iter(known))}"' if known else None)
+            or f"add a .subckt {part.keys.subckt} to {part.keys.file}",
         )
     for pin in pins:
         checked(pin, where=f"{part.name}.subckt")

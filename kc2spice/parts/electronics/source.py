@@ -171,14 +171,14 @@ class SourceKeys(Section):
                     "the pulse has an edge that is longer than its width",
                     where="pulse",
                     expected=f"an edge above zero and of at most the width, {p.width:g} s",
-                    hint="shorten pulse.edge",
+                    hint=f"lower pulse.edge to {p.width / 10:g} s" if p.width > 0 else None,
                 )
             if p.period is not None and p.period < p.width + p.edge:
                 raise UsageError(
                     "successive pulses overlap",
                     where="pulse",
                     expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
-                    hint="raise pulse.period",
+                    hint=f"raise pulse.period to {p.width + p.edge:g} s",
                 )
             return waves_.pulse_waveform(low, high, p.start, p.width, p.edge, p.period, p.count)
         if self.sine is not None:
