@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from numbers import Real
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -33,6 +33,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.prefix import format_quantity
+from kc2spice.core.untrusted_files import make_identifier
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
@@ -57,6 +58,8 @@ def describe_invalid(
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
+    missing = [str(item["loc"][-1]) for item in every if item["type"] == "missing"
+               and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
     typed = _find_typed_value(table, path, result["input"])
     # the validator of a table has named the invalid key
@@ -64,7 +67,7 @@ def describe_invalid(
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
         path, typed = (*path, *below), _find_typed_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
-    message, expected, hint = _explain_invalid(result, schema, full_path, also)
+    message, expected, hint = _explain_invalid(result, schema, full_path, also, missing)
     # if two keys contradict each other, the message contains the reason, and no value is quoted
     contradicts = kind == "value_error" and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
@@ -86,9 +89,16 @@ def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
 
 
 def _explain_invalid(
-    details: ErrorDetails, schema: type[BaseModel], full_path: KeyPath, also: Sequence[str]
+    details: ErrorDetails,
+    schema: type[BaseModel],
+    full_path: KeyPath,
+    also: Sequence[str],
+    missing: Sequence[str] = (),
 ) -> tuple[str, str | None, str | None]:
-    """Return message, got, expected and hint of a validation error."""
+    """Return message, expected and hint of a validation error.
+
+    ``missing`` are the required keys that the table of an unknown key lacks.
+    """
     path, context = details["loc"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
@@ -101,11 +111,12 @@ def _explain_invalid(
                 _list_replacement_hints(table_schema).get(word)
                 or _suggest_key(word, fields)
                 or near
+                or _suggest_synonym(word, fields)
             )
             return (
                 "unknown key",
                 "one of " + list_candidates(word, fields, _help_command(schema)),
-                near or f"delete {word}, or write one of these keys in its place",
+                near or _replace_unknown_key(word, missing),
             )
         case "missing":
             return (
@@ -113,19 +124,29 @@ def _explain_invalid(
                 *_explain_missing(schema, path, full_path),
             )
         case "string_pattern_mismatch":
+            pattern, typed = str(context["pattern"]), details["input"]
             expected = "a letter, then letters, digits and _, at most 64 in all"
+            hint = f"write it without other characters: {make_identifier(str(typed), 'name')}"
+            if pattern == "^[xyz]{1,3}$":
+                expected, hint = "one to three of the letters x, y and z", 'for example "z"'
+            elif letters := re.fullmatch(r"\^\[([A-Z]+)\]\$", pattern):
+                expected, hint = f"one of {', '.join(letters[1])}", f'for example "{letters[1][0]}"'
             if full_path[0] in (
                 "title",
                 "include",
                 # a line break in this text would begin a new statement of the netlist
             ):
                 expected = "one line of text without control characters"
-            return "not allowed", expected, None
+                hint = "delete line breaks and control characters from it"
+            return "this text is not allowed", expected, hint
         case "quantity":
             return context["reason"], context["expected"], context.get("hint")
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
-            near = did_you_mean(str(details["input"]), choices)
+            word = str(details["input"])
+            near = did_you_mean(word, choices)
+            if (meaning := _CHOICE_SYNONYMS.get(_plain_word(word))) in choices:
+                near = f'write  {full_path[-1]} = "{meaning}"'
             listed = list_candidates(details["input"], choices, _help_command(schema))
             near = near or f'for example  {full_path[-1]} = "{choices[0]}"'
             return "this value is not one of the choices", f"one of {listed}", near
@@ -190,6 +211,79 @@ def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: s
     return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
 
+# Values of required keys that are neither quantities nor choices.
+_KEY_EXAMPLES = {
+    "layers": '[{ material = "PZT-5A", diameter = "20 mm", thickness = "0.2 mm" }]',
+    "materials": '{ GROUP = "steel" }  with a group of the mesh',
+    "material": '"steel"',
+    "mesh": '"part.msh"',
+    "name": '"tip"',
+    "group": '"top"',
+    "between": '["case", "chip"]',
+    "fingers": "50",
+    "turns": "100",
+    "a": '"PART.PIN"',
+    "of": '"PART.RESULT"',
+    "front": '[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]',
+    "back": '[{ material = "steel", diameter = "20 mm", length = "20 mm" }]',
+    "file": '"FILE"',
+    "subckt": '"NAME"',
+    "default": "1.0",
+    "low": "0.5",
+    "high": "2.0",
+    "factor": '"t/1.5"',
+}
+
+
+def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
+    """Suggest the only missing key of a table in place of an unknown key."""
+    if len(missing) == 1:
+        return f"write {missing[0]} in place of {word}, because the key {missing[0]} is missing"
+    return f"delete {word}"
+
+
+# Words of other programs for choices of a key, without blanks and signs.
+_CHOICE_SYNONYMS = {
+    "average": "mean",
+    "avg": "mean",
+    "maximum": "max",
+    "peak": "max",
+    "minimum": "min",
+    "pp": "peak_to_peak",
+    "p2p": "peak_to_peak",
+    "pkpk": "peak_to_peak",
+    "peakpeak": "peak_to_peak",
+    "last": "final",
+    "end": "final",
+    "splmax": "spl",
+    "tran": "transient",
+    "time": "transient",
+    "timedomain": "transient",
+    "frequency": "ac",
+    "harmonic": "ac",
+    "sweep": "ac",
+    "static": "op",
+    "dcop": "op",
+    "lin": "linear",
+    "logarithmic": "log",
+    "dec": "log",
+    "decade": "log",
+    "gear2": "gear",
+    "trapezoidal": "trap",
+    "clamp": "clamped",
+    "fixed": "clamped",
+    "simplysupported": "simply_supported",
+    "pinned": "simply_supported",
+    "hinged": "simply_supported",
+    "unsupported": "free",
+}
+
+
+def _plain_word(word: str) -> str:
+    """Return the letters and digits of a word in lower case."""
+    return "".join(filter(str.isalnum, word.lower()))
+
+
 # Common names of quantities, the keys that scenes use in their place, and the relation of both.
 _REPLACED_NAMES = {
     "radius": ("diameter", "use the key diameter, which is twice the radius"),
@@ -207,6 +301,61 @@ def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
     return hint if key in fields else None
 
 
+# Keys of other programs, and keys of this program with the same meaning.
+_KEY_SYNONYMS = {
+    "peak": ("amplitude", "high", "voltage"),
+    "amp": ("amplitude",),
+    "ampl": ("amplitude",),
+    "magnitude": ("amplitude", "ac"),
+    "f": ("frequency",),
+    "freq": ("frequency",),
+    "ohm": ("resistance",),
+    "ohms": ("resistance",),
+    "r": ("resistance",),
+    "c": ("capacitance",),
+    "farad": ("capacitance",),
+    "l": ("inductance",),
+    "k": ("stiffness",),
+    "value": ("resistance", "capacitance", "inductance", "stiffness", "mass", "damping", "dc"),
+    "v": ("voltage", "dc", "velocity"),
+    "volts": ("voltage", "dc"),
+    "voltage": ("dc", "high", "amplitude"),
+    "current": ("dc",),
+    "m": ("mass",),
+    "weight": ("mass",),
+    "rho": ("density",),
+    "e": ("youngs_modulus",),
+    "modulus": ("youngs_modulus",),
+    "nu": ("poisson_ratio",),
+    "delay": ("start",),
+    "duration": ("stop", "width"),
+    "end": ("stop",),
+    "tstop": ("stop",),
+    "fstop": ("stop",),
+    "fstart": ("start",),
+    "npoints": ("points",),
+    "model": ("subckt",),
+    "subcircuit": ("subckt",),
+    "lib": ("file",),
+    "library": ("file",),
+    "path": ("file", "mesh"),
+    "filename": ("file", "mesh"),
+    "result": ("of",),
+    "signal": ("of",),
+    "function": ("take",),
+    "boundary": ("support",),
+    "clamped": ("support", "fixed"),
+    "bc": ("support", "fixed"),
+}
+
+
+def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
+    """Suggest the key of the table with the meaning of a key of another program."""
+    keys = _KEY_SYNONYMS.get(_plain_word(word), ())
+    fitting = next((key for key in keys if key in fields), None)
+    return fitting and f"write {fitting} in place of {word}"
+
+
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
     """Return the hint for each unsupported key of a table, with the key to use in its place."""
     return getattr(table, "absent", {})
@@ -219,8 +368,14 @@ def _explain_missing(
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
     value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
+    field, listed = _find_field(schema, path), None
+    if not unit and field is not None:
+        choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+        value = f'"{choices[0]}"' if choices else _KEY_EXAMPLES.get(str(path[-1]), value)
+        if choices:
+            listed = f"one of {list_candidates('', map(str, choices))}"
     place = f"  to {table}" if table else ""
-    expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else None
+    expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else listed
     return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
@@ -476,8 +631,13 @@ def _suggest_spelling(value: object, si: str) -> str | None:
     """Suggest a correction of a decimal comma, or of a missing or misspelt unit."""
     from difflib import get_close_matches  # imported here, because most values need no correction
 
-    if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
-        return None
+    if isinstance(value, (list, tuple)) and len(value) == 1:
+        inner = f'"{value[0]}"' if isinstance(value[0], str) else f"{value[0]}"
+        return f"write the value without brackets: {inner}"
+    if not isinstance(value, str):
+        return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+    if len(value) > _MAX_QUANTITY_LENGTH:
+        return f"write a number of at most {_MAX_QUANTITY_LENGTH} characters"
     begun = _NUMBER.fullmatch(value.rstrip())
     word = "" if begun is None or _parse_unit(begun[2]) else begun[2].lower().removesuffix("s")
     if begun is not None and (symbol := _UNIT_WORDS.get(word)):

@@ -32,6 +32,8 @@ _WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key, wrong si
 _PLAIN_QUOTES = str.maketrans(
     dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
 )
+# absolute path of a file on Windows between double quotes
+_WINDOWS_PATH = re.compile(r'"([A-Za-z]:\\|\\\\)[^"]*?([^"\\/]+\.\w+)"')
 _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 
@@ -246,6 +248,11 @@ def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Yield repairs of a backslash that begins no escape sequence, as in a Windows path."""
     line = lines[number - 1]
     plain = re.sub(r'"([^"\']*)"', r"'\1'", line)
+    if found := _WINDOWS_PATH.search(line):
+        name = found[2]
+        copied = f'{line[: found.start()]}"{name}"{line[found.end() :]}'
+        action = f"copy {name} into the folder of this file, and {_suggest_line(copied)}"
+        yield _Repair("this path is not in the folder of this file", number, copied, action)
     if "\\" in line and plain != line:
         yield _Repair("a backslash between double quotes", number, plain, _suggest_line(plain))
 

@@ -88,6 +88,37 @@ def decode_text(data: bytes) -> str:
     return data.decode("utf-8-sig")
 
 
+def make_encoding_error(data: bytes, where: str) -> UsageError:
+    """Make the error of a file that is not UTF-8 text, with its line and likely encoding."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding, got = "UTF-16", "a text in UTF-16"
+    elif b"\0" in data:
+        return UsageError(
+            "this file is binary, not a text file",
+            where=where,
+            got=f"bytes {data[:8]!r}"[:60],
+            expected="a text file in UTF-8",
+            hint="give the path of a text file",
+        )
+    else:
+        encoding = "Windows-1252"
+        try:
+            data.decode("utf-8")
+            got = "a text in another encoding"
+        except UnicodeDecodeError as error:
+            line = data[: error.start].count(b"\n") + 1
+            start = data.rfind(b"\n", 0, error.start) + 1
+            shown = data[start:].splitlines()[0].decode("cp1252", "replace").strip()[:60]
+            got = f"in line {line}: {shown}"
+    return UsageError(
+        "this text file is not encoded in UTF-8",
+        where=where,
+        got=got,
+        expected="a text file in UTF-8",
+        hint=f"save {where} with the encoding UTF-8 in a text editor; it is now in {encoding}",
+    )
+
+
 def split_lines(text: str) -> list[str]:
     r"""Split a text into lines, which end with ``\n``, ``\r\n`` or ``\r``.
 

@@ -164,6 +164,9 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         )
         choices = list(map(".".join, fitting))
         name = ".".join(b)
+        # if another pin of the part is joined, the first choice may be on the same net
+        alone = not scene.parts[a[0]].pins.keys() - {a[1]}
+        suggested = choices[0] if choices and alone else GROUND
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
@@ -171,7 +174,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
             if choices
             else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
-            hint=f'write  {a[1]} = "{choices[0] if choices else GROUND}"',
+            hint=f'write  {a[1]} = "{suggested}"',
         )
 
 
@@ -317,11 +320,17 @@ def _make_unjoined_error(
         if end[0] != name and _are_compatible(terminal, other):
             (waiting if end in alone else fitting).append(end)
     names = list(map(".".join, waiting + fitting))
-    pin, more = terminal.name, "" if len(names) <= LISTED_PINS else ", …"
+    count = LISTED_PINS - (not terminal.moving)
+    pin, more = terminal.name, "" if len(names) <= count else ", …"
     if waiting:
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
     elif fitting:
-        hint = f'choose where {pin} leads:  pins = {{ {pin} = "PART.PIN" }}  in [{name}]'
+        hint = f'connect it, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
+        if terminal.domain is ELECTRICAL:  # a load shorts no other net
+            hint = (
+                f'add a part at this pin, such as [{name}_load] with part = "resistor", '
+                f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'
+            )
     elif terminal.moving:
         hint = f'add a part that {name} moves with, such as [spring] with part = "spring"'
     else:
@@ -332,7 +341,7 @@ def _make_unjoined_error(
     return UsageError(
         f"pin {pin} of {name} is not connected",
         where=f"{name}.pins.{pin}",
-        expected=f"{what}: {', '.join([*names[:LISTED_PINS], *ground]) or 'none is here'}{more}",
+        expected=f"{what}: {', '.join([*names[:count], *ground]) or 'none is here'}{more}",
         hint=hint,
     )
 

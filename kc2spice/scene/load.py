@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -171,7 +173,11 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     """Return the checked and resolved scene of tables; ``where`` of errors is a key."""
     types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
-    scene = Scene(_validate_table(Frame, frame, ()), {}, home=source.folder)
+    try:
+        scene = Scene(_validate_table(Frame, frame, ()), {}, home=source.folder)
+    except UsageError as error:
+        error.hint = _suggest_probed_result(data, source, error) or error.hint
+        raise
     parts, analysis = _make_parts(data, types, source.folder)
     scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:
@@ -187,6 +193,25 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     return scene
 
 
+def _suggest_probed_result(
+    data: Mapping[str, Any], source: SceneFile, error: UsageError
+) -> str | None:
+    """Suggest a result of the scene for a probe without the key ``of``; None for other errors."""
+    probe = re.fullmatch(r"probes\.(\w+)\.of", error.where or "")
+    if probe is None or not error.message.endswith("is missing"):
+        return None
+    # imported here, because only this error lists the results of a scene
+    from kc2spice.scene.probed_results import list_all_results
+
+    with suppress(UsageError):
+        scene = _make_scene({key: data[key] for key in data if key != "probes"}, source)
+        results = list_all_results(scene)
+        same = [name for name in results if name.partition(".")[2][:1] in probe[1]]
+        for result in [*same, *results][:1]:
+            return f'add  of = "{result}"  to probes.{probe[1]}'
+    return None
+
+
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
@@ -194,7 +219,7 @@ def _make_parts(
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
-        parts[name] = _make_part(name, data[name], kind, home, short=short)
+        parts[name] = _make_part(name, data[name], kind, home, short=short, tables=data)
     analysis = None
     for part in list(parts.values()):
         for name, table in part.type.expand(part, data).items():
@@ -331,6 +356,9 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
+        for key in ("type", "kind", "parttype", "Part"):
+            if isinstance(table.get(key), str) and find_part_type(table[key].lower()) is not None:
+                near = f'write  part = "{table[key].lower()}"  in place of {key} = "{table[key]}"'
         raise UsageError(
             "this table has no key part",
             where=name,
@@ -359,29 +387,76 @@ def _make_part(
     home: Path,
     at: tuple[str | int, ...] = (),
     short: tuple[str, ...] = (),
+    tables: Mapping[str, Any] = MappingProxyType({}),
 ) -> Part:
     """Return the part of a table.
 
     ``at`` is the path of the table in the file, if this is not its name. ``short`` are all tables
-    of the scene if the name of the table is its type: some keys then depend on them.
+    of the scene if the name of the table is its type: some keys then depend on them. ``tables`` are
+    all tables of the scene, from which an error suggests pins.
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
-        first = next(iter(pins), "") if isinstance(pins, (list, tuple)) else pins
-        listing = f"kc2spice scenes --part {kind.name} lists PIN"
-        target = first if isinstance(first, str) and "." in first else "PART.PIN"
-        raise UsageError(
-            "pins is not a table",
-            where=f"{name}.pins",
-            got=clip_text(repr(pins)),
-            expected="a table that connects each pin to another pin or to gnd",
-            hint=f'write  pins = {{ PIN = "{target}" }}; {listing}',
-        )
+        raise _make_pins_error(name, table, kind, home, tables)
     keys = _complete_tables(table, kind.schema)
     for key in _GRAMMAR_KEYS:
         keys.pop(key, None)
     checked = _validate_table(kind.schema, keys, at or (name,), {"home": home, "short": short})
     return Part(name, kind, checked, dict(pins), at)
+
+
+def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) -> list[str]:
+    """List the pins of a part that is alone in a scene; empty if its pins depend on others."""
+    with suppress(Exception):  # the pins are a suggestion only
+        part = _make_part(name, {**table, "pins": {}}, kind, home)
+        alone = Scene(Frame(name=name), {name: part}, home=home)
+        return [pin.name for pin in kind.pins(part, replace(alone, ports="all"))]
+    return []
+
+
+def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
+    """Return the first pin of another part, ground if the scene has no other part with pins."""
+    for other, table in tables.items():
+        if other != name and other not in Frame.model_fields and isinstance(table, Mapping):
+            with suppress(UsageError):
+                for pin in _list_pins(other, table, _find_part_type(other, table), home):
+                    return f"{other}.{pin}"
+    return GROUND
+
+
+def _make_pins_error(
+    name: str, table: Mapping[str, Any], kind: PartType, home: Path, tables: Mapping[str, Any]
+) -> UsageError:
+    """Make the error of pins that are not a table of texts; suggest pins of the part."""
+    pins = table["pins"]
+    known = _list_pins(name, table, kind, home) or ["PIN"]
+    if isinstance(pins, Mapping):
+        wrong_pin = next(pin for pin in pins if not isinstance(pins[pin], str))
+        stated = pins[wrong_pin]
+        targets = stated if isinstance(stated, (list, tuple)) else [stated]
+        names = [item for item in targets if isinstance(item, str)]
+        # 0 is ground in netlists
+        names += [GROUND if 0 in targets else _suggest_target(name, tables, home)]
+        target = names[0]
+        return UsageError(
+            f"the pin {wrong_pin} is not connected to one pin",
+            where=f"{name}.pins.{wrong_pin}",
+            got=display_text(stated),
+            expected="the name of one other pin, or gnd",
+            hint=f'write  {wrong_pin} = "{target}"'
+            + (f", and connect the other pins to {name}.{wrong_pin}" if len(targets) > 1 else ""),
+        )
+    targets = pins if isinstance(pins, (list, tuple)) else [pins]
+    stated = [item for item in targets if isinstance(item, str)]
+    stated = stated or [_suggest_target(name, tables, home)]
+    joins = ", ".join(f'{pin} = "{target}"' for pin, target in zip(known, stated, strict=False))
+    return UsageError(
+        "pins is not a table",
+        where=f"{name}.pins",
+        got=display_text(pins),
+        expected=f"a table that connects pins of a {kind.name}: {list_candidates('', known)}",
+        hint=f"write  pins = {{ {joins} }}",
+    )
 
 
 def _validate_table(

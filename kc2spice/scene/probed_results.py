@@ -56,6 +56,12 @@ def require_probed_results(build: Build) -> None:
             )
 
 
+def list_all_results(scene: Scene) -> list[str]:
+    """List the results that probes of a scene may read, except results of its models."""
+    waiting = {name for name, part in scene.parts.items() if part.type.results_of_model}
+    return _list_results(Build(scene, {}), waiting)
+
+
 def _make_unknown_result_error(
     build: Build, name: str, where: str, waiting: Collection[str]
 ) -> UsageError:

@@ -15,7 +15,13 @@ from typing import Any
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import join_path
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded, split_lines
+from kc2spice.core.untrusted_files import (
+    MAX_TEXT_BYTES,
+    decode_text,
+    make_encoding_error,
+    read_bounded,
+    split_lines,
+)
 from kc2spice.scene.catalogue import find_part, read_catalogue
 
 
@@ -88,16 +94,16 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
             else SceneFile(f"part {part.number}", part.scene_name, part.text, Path.cwd())
         )
     try:
-        text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
+        data = read_bounded(path, MAX_TEXT_BYTES)
+        text = decode_text(data)
     except UnicodeDecodeError:
-        raise UsageError(
-            "this file is not a text file", where=name, expected="TOML in UTF-8"
-        ) from None
+        raise make_encoding_error(data, name) from None
     except (FileNotFoundError, IsADirectoryError):
         raise _missing_file_error(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"this file cannot be read: {reason}", where=name) from None
+        hint = f"check the permissions and the size of {name}"
+        raise UsageError(f"this file cannot be read: {reason}", where=name, hint=hint) from None
     folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
     return SceneFile(name, path.stem, text, folder)
 

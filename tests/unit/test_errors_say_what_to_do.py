@@ -200,7 +200,8 @@ def test_an_open_pin_is_not_joined_to_a_bias(said, tmp_path):
     )
     assert code == 2
     assert "pin out of tia is not connected" in text
-    assert 'next: choose where out leads: pins = { out = "PART.PIN" }' in text
+    load = 'part = "resistor", resistance = "1 MOhm", pins = { a = "tia.out" }'
+    assert f"next: add a part at this pin, such as [tia_load] with {load}" in text
 
 
 def test_the_documented_form_of_coils_is_named(said):
@@ -373,7 +374,7 @@ def test_a_reduced_model_of_another_kind_of_file(cli, tmp_path):
 
 
 def test_a_number_instead_of_a_model():
-    refused(lambda: kc.reduce(3), "not a linear model", "int 3", "kc.read_model(PATH)")
+    refused(lambda: kc.reduce(3), "not a linear model", "int 3", "kc.LinearModel(M=M")
 
 
 def test_a_misspelt_part_comes_before_its_data(cli):

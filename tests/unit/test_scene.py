@@ -155,7 +155,7 @@ def test_errors_in_a_file_give_the_line(scene_file):
         ("a = " + "[" * 50_000, "not valid TOML"),
         ("a = " + "1" * 5000, "not valid TOML"),
         ("x = 1\n" * (MAX_TEXT_BYTES // 5), "the file has more than"),
-        (b"\xff\xfe\x00", "not a text file"),
+        (b"\xff\xfe\x00", "not encoded in UTF-8"),
         ("[analysis]\ntype = 'transiet'", "did you mean 'transient'"),
         ("# none\n", "the scene has no parts"),
         ("name = 3", "string"),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -113,7 +115,11 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     if "B" not in matrices and not rows.sidecar.ports:
         expected = "matrix B with a column for each input, or [[ports]] in the TOML file"
         got = "matrices " + ", ".join(sorted(matrices))
-        hint = f"add the matrix B, or [[ports]] to {rows.name}.toml"
+        lacking = "B" if {"M", "E", "A"} & set(matrices) else "B and M"
+        hint = f"add the matrix {lacking} to {Path(rows.where).name}"
+        if (name := re.fullmatch(r"(.+[._])[MEKABCD](\.\w+)?", Path(rows.where).name)) is not None:
+            files = " and ".join(f"{name[1]}{k}{name[2] or ''}" for k in lacking.split(" and "))
+            hint = f"add the file{'s' if len(lacking) > 1 else ''} {files}"
         raise wrong(rows.where, "the model has no inputs", got, expected, hint)
     size = max((matrix.shape[0] for matrix in _square_matrices(matrices).values()), default=1)
     model = LinearModel(**{"B": np.ones((size, 1)), **matrices}, name=rows.where)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from operator import attrgetter
 
 import numpy as np
@@ -41,7 +42,7 @@ from kc2spice.bodies.readers.titles import (
     read_title,
 )
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, list_candidates
 
 DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
 # smallest number of frequencies, for four parameters of one resonance and its noise
@@ -320,12 +321,30 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
     if SOUND_QUANTITY in columns.by_quantity:
         title = columns.by_quantity[SOUND_QUANTITY][0].title.text
         return ValueError(f"column {title!r} is a sound pressure, not an electrical quantity")
+    if {"f"} < set(columns.by_quantity) and not columns.unknown:
+        raise _make_half_impedance_error(titles, columns)
     missing = "no complete impedance" if "f" in columns.by_quantity else "no frequency"
     listed = ", ".join(map(repr, columns.unknown[:5]))
     strange = f"; unknown: {listed}" if listed else ""
     names = ", ".join(titles[:5])
     names = names if len(names) <= MAX_TITLE_LENGTH else f"{names[:MAX_TITLE_LENGTH]}…"
     return ValueError(f"the columns {names} contain {missing}{strange}")
+
+
+def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns) -> UsageError:
+    """Return the error of a frequency beside only one half of an impedance."""
+    names = set(columns.by_quantity) - {"f"}
+    shared = [item for item in COMBINATIONS if names & set(item.columns)]
+    partners = dict.fromkeys(chain.from_iterable(item.columns for item in shared))
+    labels = QUANTITY_LABELS | {"x": "X (the imaginary part of Z)", "r": "R (the real part of Z)"}
+    lacking = [labels.get(name, name) for name in partners if name not in names]
+    listed = ", ".join(title.strip() for title in titles[:5])
+    return UsageError(
+        "this table contains only one half of a complex impedance",
+        got=f"columns {listed}",
+        expected=f"a second column: {list_candidates('', lacking)}",
+        hint=f"export the table again with a column of {lacking[0]}",
+    )
 
 
 def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:

@@ -194,6 +194,9 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT)
     f, order = np.unique(f, return_index=True)  # in ascending order, without repetitions
     order = order[f > 0]
+    if not len(order):
+        hint = "export the file again, with the lines of numbers"
+        raise make_unusable_error(path, "no numbers", f"at least {MIN_FREQUENCIES} lines", hint)
     if len(order) < MIN_FREQUENCIES:
         raise make_unusable_error(
             path, f"{len(order)} frequencies", f"at least {MIN_FREQUENCIES}", "measure more points"

@@ -20,6 +20,7 @@ D u``.
 from __future__ import annotations
 
 import re
+import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -333,14 +334,36 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     arrays = untrusted_files.read_archive(
         path, is_known, entries=size_limit, total=limit_unpacked_bytes(path)
     )
+    contained = list_member_names(path)
     for name in letters:
         if not any(key.partition(".")[0] == name for key in arrays):
-            raise ValueError(f"the file contains no matrix {name}")
+            raise ValueError(f"the file contains no matrix {name}, only {', '.join(contained)}")
+    if not any(key.partition(".")[0] in {*plain, *letters} for key in arrays):
+        lower = {name.lower(): name for name in contained}
+        renamed = {letter: lower[letter.lower()] for letter in LETTERS if letter.lower() in lower}
+        names = ", ".join(f'{letter} = "{name}"' for letter, name in renamed.items())
+        hint = 'name the matrices in the TOML file, such as  matrices = { K = "stiffness" }'
+        if names:
+            hint = f"write  matrices = {{ {names} }}  into {path.stem}.toml"
+        raise UsageError(
+            "this file contains no matrix with a known name",
+            where=str(path),
+            got=", ".join(contained[:5]) or "an empty archive",
+            expected=f"matrices with the names {', '.join(LETTERS)}",
+            hint=hint,
+        )
     result = {}
     for key, array in arrays.items():
         name, dot, part = key.partition(".")
         result[f"{letters.get(name, name)}{dot}{part}"] = array
     return _unpack_raw(result, path)
+
+
+def list_member_names(path: Path) -> list[str]:
+    """List the names of the matrices in an archive, of which a sparse matrix has several arrays."""
+    with zipfile.ZipFile(path) as archive:
+        members = (item.filename.removesuffix(".npy") for item in archive.infolist())
+        return list(dict.fromkeys(name.partition(".")[0][:40] for name in members))
 
 
 def call_in_process(

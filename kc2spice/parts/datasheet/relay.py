@@ -81,7 +81,10 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
             "the voltages release, pick_up and voltage do not increase",
             f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage {keys.voltage:g} V",
             "release below pick_up, and pick_up below the rated voltage",
-            "check the three values",
+            f'exchange release and pick_up: pick_up = "{keys.release:g} V" and '
+            f'release = "{keys.pick_up:g} V"'
+            if keys.pick_up <= keys.release < keys.voltage
+            else f"raise voltage above pick_up, {keys.pick_up:g} V, or correct pick_up",
         )
     rise = -math.log1p(-keys.pick_up / keys.voltage)
     if keys.operate_time is None and keys.inductance is None:

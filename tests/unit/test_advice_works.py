@@ -1,0 +1,277 @@
+"""Mistakes of users whose advice is followed literally: the corrected input then runs."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import Check, name_arguments, name_options, require_passed
+
+import kc2spice as kc
+
+MESH = Path(__file__).parents[1] / "data" / "coarse_unimorph.msh"
+BODY = """[u]
+part = "body"
+mesh = "u.msh"
+unit = "mm"
+materials = {{ steel = "steel", pzt = "{ceramic}" }}
+fixed = ["root"]
+[f]
+part = "source"
+{source}
+[analysis]
+type = "ac"
+stop = "1 kHz"
+"""
+DIVIDER = """[battery]
+part = "source"
+dc = "10 V"
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { a = "battery.out" }
+[analysis]
+type = "op"
+[probes.current]
+of = "load.i"
+"""
+CHAIN = {
+    "M": np.eye(3),
+    "K": 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1),
+    "B": np.eye(3)[:, :1],
+}
+
+
+def rows(text):
+    """First line of a message, and the rows below it by their names."""
+    head, *below = text.splitlines()
+    pairs = (line.strip().partition(":") for line in below)
+    return {"head": head} | {name: value.strip() for name, _, value in pairs}
+
+
+@pytest.mark.parametrize(
+    ("ceramic", "advised", "source"),
+    [
+        ("steel", "ports", 'kind = "force"\nac = "1 N"\npins = { out = "u.tip" }'),
+        ("PZT-5A", "electrodes", 'ac = "1 V"\npins = { out = "u.anode" }'),
+    ],
+)
+def test_the_ports_that_a_body_without_ports_needs(cli, ceramic, advised, source):
+    Path("u.msh").write_text(MESH.read_text())
+    scene = BODY.format(ceramic=ceramic, source=source)
+    Path("own.toml").write_text(scene)
+    found = rows(cli("run", "own.toml").stderr)
+    assert "a body needs electrodes or ports" in found["head"]
+    advice = found["next"].removeprefix("add for example  ")
+    assert advice.startswith(f"{advised} = ")
+    Path("own.toml").write_text(scene.replace("fixed =", f"{advice}\nfixed ="))
+    assert cli("run", "own.toml").exit_code == 0
+
+
+def test_the_port_of_a_mesh_that_cannot_be_read_is_at_a_point(cli):
+    Path("own.toml").write_text(BODY.format(ceramic="steel", source=""))
+    assert "at = [0, 0, 0]" in rows(cli("run", "own.toml").stderr)["next"]
+
+
+def test_a_misspelt_metric_of_a_sweep_leaves_no_files(cli):
+    swept = ("duffing", "--set", "mass.mass=1 g,2 g", "--workers", "1")
+    done = cli("sweep", *swept, "--metric", "mass_peak")
+    found = rows(done.stderr[done.stderr.index("kc2spice: error") :])
+    assert done.exit_code == 2
+    assert found["expected"].count(",") <= 5
+    name = re.fullmatch(r"did you mean '(.*)'\?", found["next"])[1]
+    assert not Path("duffing_sweep").exists()
+    assert cli("sweep", *swept, "--metric", name).exit_code == 0
+
+
+def test_a_sphere_beyond_the_table_names_the_voltage_and_leaves_no_files(cli):
+    done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=300")
+    found = rows(done.stderr[done.stderr.index("kc2spice: error") :])
+    assert done.exit_code == 5
+    assert found["expected"].startswith("heights from -2.5 mm to 7.5 mm")
+    assert not list(Path().glob("kick_and_catch*"))
+    key, voltage = re.fullmatch(r'lower the kick, such as (\S+) = "(.*)"', found["next"]).groups()
+    assert cli("run", "kick_and_catch", "--set", f"{key}={voltage}").exit_code == 0
+
+
+def test_a_failed_check_describes_value_and_limit_of_the_input():
+    advice = "the sphere left the field table: raise catch.y_max to 9 mm"
+    check = Check("table_left", 1e-3, 0.0, "m", advice, found="heights to 8 mm", accepted="7.5 mm")
+    with pytest.raises(kc.errors.SimulationError) as caught:
+        require_passed((check,), "scene")
+    assert (caught.value.got, caught.value.expected) == ("heights to 8 mm", "7.5 mm")
+
+
+@pytest.mark.parametrize(
+    ("pins", "head", "advice"),
+    [
+        ('pins = ["battery.out", "gnd"]', "pins is not a table",
+         'write  pins = { a = "battery.out", b = "gnd" }'),
+        ('pins = "battery.out"', "pins is not a table", 'write  pins = { a = "battery.out" }'),
+        ('pins = { a = ["battery.out"] }', "the pin a is not connected to one pin",
+         'write  a = "battery.out"'),
+        ("pins = { a = 3 }", "the pin a is not connected to one pin",
+         'write  a = "battery.out"'),
+        ("pins = 3", "pins is not a table", 'write  pins = { a = "battery.out" }'),
+    ],
+)  # fmt: skip
+def test_pins_of_a_wrong_type(cli, pins, head, advice):
+    text = DIVIDER.replace('pins = { a = "battery.out" }', pins)
+    Path("own.toml").write_text(text)
+    found = rows(cli("run", "own.toml").stderr)
+    assert head in found["head"]
+    assert found["next"] == advice
+    stated = advice.removeprefix("write  ")
+    stated = stated if stated.startswith("pins") else f"pins = {{ {stated} }}"
+    kc.load_scene(parse(DIVIDER.replace('pins = { a = "battery.out" }', stated)))
+
+
+def parse(text):
+    Path("right.toml").write_text(text)
+    return "right.toml"
+
+
+def test_tolerance_and_order_in_the_words_of_each_interface(cli):
+    np.savez("chain.npz", **CHAIN)
+    words = ("reduce", "chain.npz", "--tolerance", "1e-3")
+    found = rows(cli(*words, "--order", "1").stderr)
+    assert found["next"] == "leave out --order"
+    assert cli(*words).exit_code == 0
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.reduce(kc.read_model("chain.npz"), tolerance=1e-3, order=1)
+    assert caught.value.hint == "leave out order"
+    found = rows(cli("reduce", "chain.npz", "--band", "10", "0").stderr)
+    assert found["next"] == "write --band 0 10"
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.fit("buzzer_7bb_20_6", "disc", kc.read_model("chain.npz"), [])
+    assert "--" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("option", "argument"),
+    [
+        ("add --band 0 2e4", "add band=(0, 2e4)"),
+        ("add  --shunt '100 Ohm'", "add  shunt='100 Ohm'"),
+        ("leave out --order", "leave out order"),
+        ("the option --vary is missing", "the argument vary is missing"),
+        ("add --vary damping.quality=10:200", "add vary=['damping.quality=10:200']"),
+        ("add --tolerance 1e-4, or a band", "add tolerance=1e-4, or a band"),
+    ],
+)
+def test_options_and_arguments_translate_into_each_other(option, argument):
+    error = kc.errors.UsageError(option, hint=option)
+    name_arguments(error)
+    assert (error.message, error.hint) == (argument, argument)
+    name_options(error, ("band", "shunt", "order", "vary", "tolerance"))
+    assert (error.message, error.hint) == (option, option)
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "head", "advice"),
+    [
+        ('of = "load.i"', 'take = "max"', "probes.current.of is missing", r'add  of = "\w+\.\w+"'),
+        ('of = "load.i"', 'of = "load.i"\ntake = "average"', "not one of the choices",
+         r'write  take = "mean"'),
+        ('resistance = "1 kOhm"', 'R = "1 kOhm"', "unknown key", "write resistance in place of R"),
+        ('resistance = "1 kOhm"', 'ohmic = "1 kOhm"', "unknown key",
+         "write resistance in place of ohmic"),
+        ('part = "resistor"', 'type = "resistor"', "no key part",
+         r'write  part = "resistor"  in place of type'),
+        ('resistance = "1 kOhm"', 'resistance = ["1 kOhm"]', "not a quantity",
+         'without brackets: "1 kOhm"'),
+        ('dc = "10 V"', 'file = "C:\\Users\\me\\w.csv"', "not in the folder of this file",
+         'copy w.csv into the folder of this file, and write  file = "w.csv"'),
+    ],
+)  # fmt: skip
+def test_a_key_in_words_of_another_program(cli, line, otherwise, head, advice):
+    Path("own.toml").write_text(DIVIDER.replace(line, otherwise))
+    found = rows(cli("run", "own.toml").stderr)
+    assert head in found["head"]
+    assert re.search(advice, found["next"])
+
+
+@pytest.mark.parametrize(
+    ("data", "got"),
+    [
+        (b"# 5 \xb5F\n", "in line 1: # 5 \u00b5F"),
+        ("# text".encode("utf-16"), "UTF-16"),
+    ],
+)
+def test_a_scene_in_another_encoding(cli, data, got):
+    Path("own.toml").write_bytes(data)
+    found = rows(cli("run", "own.toml").stderr)
+    assert found["head"].endswith("this text file is not encoded in UTF-8")
+    assert got in found["got"]
+    assert "with the encoding UTF-8" in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "head", "advice"),
+    [
+        ("u.msh", "", "this file is empty", "export u.msh again"),
+        ("u.stl", "solid x\nendsolid\n", "not a mesh or CAD file", "save the CAD model as .step"),
+        ("u.msh", MESH.read_text()[:3000], "gmsh cannot read", "export u.msh again"),
+    ],
+)
+def test_a_mesh_file_that_is_no_mesh(cli, name, content, head, advice):
+    Path(name).write_text(content)
+    scene = BODY.format(
+        ceramic="steel", source='kind = "force"\nac = "1 N"\npins = { out = "u.tip" }'
+    )
+    port = 'ports = [{ name = "tip", group = "topel", axis = "z" }]\n'
+    Path("own.toml").write_text(scene.replace("u.msh", name).replace("fixed", f"{port}fixed"))
+    found = rows(cli("run", "own.toml").stderr)
+    assert head in found["head"]
+    assert str(Path.cwd()) not in found["head"]
+    assert advice in found["next"]
+    assert found["expected"].count(",") <= 5
+
+
+def test_matrices_in_lower_case_and_matrices_that_are_missing(cli):
+    np.savez("chain.npz", **{name.lower(): matrix for name, matrix in CHAIN.items()})
+    found = rows(cli("reduce", "chain.npz").stderr)
+    assert found["got"] == "m, k, b"
+    line = re.fullmatch(r"write  (.*)  into chain.toml", found["next"])[1]
+    Path("chain.toml").write_text(line + "\n")
+    assert cli("reduce", "chain.npz").exit_code == 0
+    Path("beam.K").write_text("%%MatrixMarket matrix coordinate real symmetric\n1 1 1\n1 1 5.0\n")
+    found = rows(cli("reduce", "beam.K").stderr)
+    assert found["next"] == "add the files beam.B and beam.M"
+
+
+@pytest.mark.parametrize(
+    ("change", "head", "advice"),
+    [
+        ((".ends\n", ""), "this subcircuit has no end", "add the line  .ends amp"),
+        (("R2 out ref 1k", "R2 out ref 1k\nD1 out ref DX"), "no such model", ".model DX D"),
+        (("R2 out ref 1k", "R2 out ref 1k\nX1 out ref sub"), "no such subcircuit", ".subckt sub"),
+        (("R2 out ref 1k", "R2 out ref {gain}"), "no such parameter", ".param gain="),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_a_netlist(cli, change, head, advice):
+    amplifier = "* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n"
+    Path("amp.lib").write_text(amplifier.replace(*change))
+    Path("own.toml").write_text(
+        '[drive]\npart = "source"\ndc = "1 V"\npins = { out = "amp.in" }\n'
+        '[amp]\npart = "netlist"\nfile = "amp.lib"\nsubckt = "amp"\npins = { out = "load.a" }\n'
+        '[load]\npart = "resistor"\nresistance = "1 kOhm"\n[analysis]\ntype = "op"\n'
+    )
+    found = rows(cli("run", "own.toml").stderr)
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+def test_a_deck_of_another_scene(cli):
+    assert cli("export", "duffing", "--out", "d").exit_code == 0
+    found = rows(cli("run", "impact", "--deck", "d/duffing.cir").stderr)
+    assert "this deck is not a deck of this scene" in found["head"]
+    assert "kc2spice export impact" in found["next"]
+
+
+def test_names_of_other_programs(cli):
+    found = rows(cli("export", "duffing", "--dialect", "pspice").stderr)
+    assert found["next"].startswith("try ltspice")
+    with pytest.raises(AttributeError, match="did you mean 'load_scene'"):
+        kc.load  # noqa: B018
+    with pytest.raises(kc.errors.UsageError, match=r"kc.reduce\(kc.read_model\('c.npz'\)"):
+        kc.reduce("c.npz", order=1)
