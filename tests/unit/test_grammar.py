@@ -146,7 +146,7 @@ MISTAKES = {
     ),
     "pins that are no table": (
         _changed('pins = { b = "lower.a" }', "pins = 3"),
-        9, "upper.pins", ["pins is not a table", "PIN ="],
+        9, "upper.pins", ["pins is not a table", "pins = { a = "],
     ),
     "a dc sweep of nothing": (
         _changed('type = "op"', 'type = "dc"\nsweep = "suply.dc"\nto = 1.0'),
