@@ -1,6 +1,6 @@
-"""The ``kc2spice`` script, also as ``python -m kc2spice``.
+"""Entry point of the program ``kc2spice``, also for ``python -m kc2spice``.
 
-Signals are handled before the modules of the command line are loaded, which takes a while.
+Signal handlers are installed first, because the modules of the command line load slowly.
 """
 
 from kc2spice.core.interrupt import end_on_signals

@@ -49,15 +49,16 @@ __all__ = [
     "sweep",
     "verify",
 ]
-AnyScene = Scene | str | Path | Mapping[str, Any]  # argument types of :func:`kc2spice.load_scene`
+# types of scenes that :func:`kc2spice.load_scene` accepts
+AnyScene = Scene | str | Path | Mapping[str, Any]
 Function = Callable[[float, Mapping[str, float]], float]
 
 
 def build(scene: AnyScene) -> dict[str, LinearModel]:
     """Build the full model of every body of a scene.
 
-    The models have all ports that the bodies offer and as many unknowns as their meshes. No model
-    is reduced. Parts that are not bodies, such as drivers and contacts, have no entry.
+    Each model has all ports of its body and all unknowns of its mesh. No model is reduced. Parts
+    that are not bodies, such as drivers and contacts, have no entry.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`, or a circuit that is wired wrongly.
+    UsageError : as :func:`kc2spice.load_scene`, or the circuit has a wiring error.
 
     Examples
     --------
@@ -151,7 +152,7 @@ def run(
     scene : Scene, str, Path or mapping
         Scene in any form that :func:`kc2spice.load_scene` reads.
     out : str or Path, optional
-        Directory for the files that ``kc2spice run`` writes. By default no file is kept.
+        Directory for the files that ``kc2spice run`` writes. By default, no file is written.
     deck : str or Path, optional
         Netlist of this scene that was edited by hand. The deck is simulated instead of the deck of
         the scene.
@@ -159,9 +160,9 @@ def run(
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
         ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI units,
-        instead of the Python file beside the scene. A run that is repeated with other settings
-        begins at time 0 again. A function with a memory must then reset its memory. A Python file
-        is read again.
+        instead of the Python file beside the scene. If a run is repeated with other settings, time
+        begins at 0 again, and a function that stores values must reset them. A Python file is read
+        again.
     overrides : mapping, optional
         Values by dotted key, as for :func:`kc2spice.load_scene`.
 
@@ -172,10 +173,10 @@ def run(
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` without the vectors of the metrics; an
-        ``out`` that cannot be written, which is detected before the computation.
-    MissingToolError : no ngspice.
-    SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
+    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` without the vectors of the metrics; a
+    directory ``out`` that cannot be written, which is checked before the computation.
+    MissingToolError : no ngspice. SimulationError : ngspice or a check of its result failed. With
+    ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
 
     Examples
@@ -223,8 +224,8 @@ def run(
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """Simulate a deck in ngspice and return its waves.
 
-    Metrics and checks need the parts of a scene. :func:`run` computes them, also for an edited
-    netlist that is its argument ``deck``.
+    Metrics and checks need the parts of a scene. :func:`run` computes metrics and checks, also for
+    an edited netlist in its argument ``deck``.
 
     Parameters
     ----------
@@ -242,7 +243,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     ------
     UsageError : not a deck.
     MissingToolError : no ngspice.
-    SimulationError : ngspice failed or stopped early; the message names the time.
+    SimulationError : ngspice failed or stopped early; the message contains the simulated time.
 
     Examples
     --------
@@ -331,14 +332,15 @@ def verify(
     out : str or Path, optional
         Directory of ``verify.json`` and ``verify.html``. By default no files are written.
     full : bool, optional
-        Whether full models are computed to the end of the scene and at all frequencies.
+        Whether full models are computed to the end of the run and at all frequencies.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
 
     Returns
     -------
     dict
-        Whether it ``passed``, and its ``checks``, ``errors``, ``metrics`` and ``notes``.
+        Result of the verification: whether the scene ``passed``, and the ``checks``, ``errors``,
+        ``metrics`` and ``notes`` of the scene.
 
     Raises
     ------
@@ -358,7 +360,8 @@ def verify(
     >>> kc.verify(lamp)["passed"]
     True
     """
-    from kc2spice.workflow.verify.verify import verify_scenes  # imported here for the same reason
+    # imported here, because ``run`` does not need this module
+    from kc2spice.workflow.verify.verify import verify_scenes
 
     loaded = load_scene(scene)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
@@ -378,11 +381,11 @@ class Result:
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states; an unknown
         name here, in ``waves`` and in ``units`` raises a KeyError that lists similar names.
     waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
-    units : SI unit of each wave.
+    units : SI unit of each wave, by name.
     checks : comparisons with physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
     record : the content of ``result.json`` without the names of files.
-    deck : the deck that gave this result.
-    figures : plots of the scene's parts by name, for :meth:`plot`.
+    deck : the deck of the simulation.
+    figures : plots of the parts of the scene by name, for :meth:`plot`.
     """
 
     scene: str
@@ -397,7 +400,10 @@ class Result:
 
     @property
     def scale(self) -> str:
-        """Name of the scale of all other waves: ``time``, ``frequency`` or ``sweep``."""
+        """Scale of all other waves, their independent variable:
+
+        ``time``, ``frequency`` or ``sweep``.
+        """
         return next(iter(self.waves))
 
     @property
@@ -406,7 +412,7 @@ class Result:
 
         Raises
         ------
-        UsageError : the analysis was no transient.
+        UsageError : the analysis was not a transient.
         """
         return self._over("time")
 
@@ -416,12 +422,12 @@ class Result:
 
         Raises
         ------
-        UsageError : the analysis was no ``ac``.
+        UsageError : the analysis was not an ``ac`` analysis.
         """
         return self._over("frequency")
 
     def _over(self, scale: str) -> np.ndarray:
-        """Return the scale; raise an error if the result has another scale."""
+        """Return the wave ``scale``; raise an error if the result has another scale."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}", where=self.scene, got=self.scale
@@ -432,11 +438,11 @@ class Result:
         """Draw waves or one of ``figures``; without names, draw the first of ``figures``.
 
         Waves of one unit share a pair of axes. Complex waves are drawn by magnitude. Returns a
-        matplotlib figure that notebooks show by themselves; ``.savefig(path)`` writes it.
+        matplotlib figure, which notebooks display; ``.savefig(path)`` writes it.
 
         Raises
         ------
-        UsageError : the wave or figure does not exist, or there is a single point.
+        UsageError : the wave or figure does not exist, or the wave has only one point.
         """
         from kc2spice.report.figures import make_notebook_figure
         from kc2spice.report.probe_figure import plot_probes
@@ -497,12 +503,13 @@ class Result:
         """Write the files of ``kc2spice run`` into a directory and return its path.
 
         The files are deck, libraries, waveforms, ``result.json`` and, for a scene, ``report.html``.
-        With ``png`` they include its figures. The directory ``out`` gets all files or none.
+        With ``png``, they also include the figures. Either all files are written to ``out``, or no
+        file is written.
 
         Raises
         ------
-        UsageError : ``out`` cannot be written, or another deck there includes another library of
-            the same name.
+        UsageError : ``out`` cannot be written, or another deck in ``out`` includes a different
+        library of the same name.
         """
         with stage_directory(out) as work:
             protect_other_decks(Path(out), self.deck.files)
@@ -526,14 +533,14 @@ class Result:
         return "\n".join([head + ">", *lines])
 
     def _repr_html_(self) -> str:
-        """Return the table of a notebook in HTML."""
+        """Return the result as an HTML table for notebooks."""
         rows = zip(self.metrics, map(_summarize, self.metrics.values()), strict=True)
         table = _format_html_table(("metric", "value"), rows)
         return f"<p>{escape(repr(self).splitlines()[0])}</p>{table}"
 
 
 def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table for notebooks."""
+    """Return a table in HTML for notebooks."""
     lines = ["".join(f"<th>{escape(cell)}</th>" for cell in head)]
     for row in rows:
         lines.append("".join(f"<td>{escape(cell)}</td>" for cell in row))
@@ -541,7 +548,7 @@ def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 
 
 def _summarize(value: Any) -> str:
-    """Return a metric in one line; an array is represented by its length."""
+    """Return a metric as text of one line; the text of an array is its length."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
@@ -558,7 +565,7 @@ def _make_result(
     checks: tuple[Check, ...] = (),
     **more: Any,
 ) -> Result:
-    """Return the result of a run for a program."""
+    """Return the object ``Result`` of a run."""
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
     metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)
@@ -568,8 +575,8 @@ def _make_result(
 class Table(tuple[dict[str, Any], ...]):
     """Rows of a sweep, each a mapping.
 
-    The columns are each swept key, each metric that is one number, and ``status``. ``status`` is
-    ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed point are None.
+    The columns are the swept keys, the metrics that are single numbers, and ``status``. ``status``
+    is ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed point are None.
     """
 
     @property
@@ -623,7 +630,7 @@ class Table(tuple[dict[str, Any], ...]):
         return "\n".join(map("  ".join, lines))
 
     def _repr_html_(self) -> str:
-        """Return the table of a notebook in HTML."""
+        """Return the rows as an HTML table for notebooks."""
         return _format_html_table(self.columns, self._cells())
 
 
@@ -689,18 +696,19 @@ def sweep(
     values : mapping of str to sequence
         Values of each swept key by its dotted name: numbers in SI units, or texts with a unit.
     executor : concurrent.futures.Executor, optional
-        Where the points run, such as ``dask.distributed.Client(ADDRESS).get_executor()``. The
-        default is threads of this process. Workers elsewhere receive the scene's files only if the
-        scene is given by name or path.
+        Executor that runs the points, such as ``dask.distributed.Client(ADDRESS).get_executor()``.
+        By default, threads of this process run the points. Workers on other machines receive the
+        files of the scene only if ``scene`` is a name or a path.
     workers : int, optional
         Number of simulations at a time. The default is the number of processors.
     progress : callable, optional
-        Called as ``progress(done, total)`` with two numbers of points after each point.
+        Called as ``progress(done, total)`` with the numbers of finished and of all points after
+        each point.
 
     Returns
     -------
     Table
-        One row for each point. The reason why a point failed is in its column ``status``.
+        One row for each point. The column ``status`` contains the reason if a point failed.
 
     Raises
     ------

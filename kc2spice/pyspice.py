@@ -1,4 +1,4 @@
-"""Parts of kc2spice as subcircuits of PySpice and InSpice.
+"""Conversion of parts of kc2spice to subcircuits of PySpice and InSpice.
 
 PySpice has not been maintained since 2021; InSpice is a maintained fork (Python 3.12 and later).
 kc2spice itself does not use these packages to run decks.
@@ -47,7 +47,8 @@ def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     >>> lamp.name, lamp.external_nodes
     ('lamp', ('plus', 'minus'))
     """
-    logging.getLogger(package).setLevel(logging.CRITICAL)  # its output also contains the message
+    # the output of the package also contains the message
+    logging.getLogger(package).setLevel(logging.CRITICAL)
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice_subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]

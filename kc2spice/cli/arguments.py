@@ -1,6 +1,7 @@
 """Arguments and options of the command line.
 
-The key is the name of a parameter, or ``command.parameter`` if commands differ.
+In ``PARAMETERS``, the key is the name of a parameter, or ``command.parameter`` if the parameter
+differs between commands.
 """
 
 from importlib import resources
@@ -13,7 +14,7 @@ from kc2spice.core.errors import UsageError
 
 
 def _complete_scene_names(incomplete: str) -> list[str]:
-    """Return the scene names that complete a text; the shell completes file names."""
+    """Return the scene names that begin with an incomplete text; the shell completes file names."""
     names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
 

@@ -1,6 +1,6 @@
 """Checks of the programs and packages that kc2spice needs.
 
-Each result contains the command that corrects the problem.
+Each failed check contains the command that corrects the problem.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _GMSH_LIBRARIES = {
     "libXfixes.so.3": "libxfixes3", "libXft.so.2": "libxft2", "libXinerama.so.1": "libxinerama1",
     "libfontconfig.so.1": "libfontconfig1", "libgomp.so.1": "libgomp1",
 }  # fmt: skip
-# The gain block requires XSPICE and its code models.
+# Test deck whose gain block requires XSPICE and its code models.
 _XSPICE_DECK = """* code model probe
 V1 in 0 DC 1
 A1 in out probe
@@ -41,8 +41,8 @@ R1 out 0 1
 .op
 .end
 """
-# ngspice features that kc2spice netlists use: parameters in braces, pwl and max in a behavioural
-# source, and its current among the results.
+# Test deck of ngspice features in netlists of kc2spice: parameters in braces, pwl and max in a
+# behavioural source, and the current of this source among the results.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
@@ -67,7 +67,8 @@ _FEATURE_TESTS = (
 class Finding:
     """Result of one check.
 
-    ``fix`` is empty if the check passes. kc2spice cannot run if a ``needed`` check fails.
+    ``fix`` is the command that corrects the problem, empty if the check passes. kc2spice cannot run
+    if a ``needed`` check fails.
     """
 
     name: str

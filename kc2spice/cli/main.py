@@ -80,7 +80,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
-    # plain help text: rich takes as long to load as all other modules together
+    # The help text is plain, because rich takes as long to load as all other modules together.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -92,11 +92,13 @@ def run_command_line() -> None:
     # variable must be set before numpy is loaded. A user's value is not changed.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    # skips a search of all installed packages for plugins
+    # This setting skips a search of all installed packages for plugins.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    gc.set_threshold(100_000)  # nearly all imported and loaded objects remain until the end
+    # Frequent garbage collections would take time, and free little memory: nearly all imported
+    # objects exist until the program ends.
+    gc.set_threshold(100_000)
     try:
-        # includes options outside of the commands, such as --help
+        # Also covers errors outside of the commands, such as errors of options before the command.
         with end_on_signals(), report_errors():
             app()
     except typer.Exit as end:
@@ -126,10 +128,11 @@ def _common_options(
 
 
 def _register_command(function: Callable[..., None]) -> Callable[..., None]:
-    """Register the command ``name`` of the function ``_name(caller, …)``.
+    """Register the function ``_name(caller, …)`` as the command ``name``.
 
-    The options of the command are listed in ``PARAMETERS``, and ``--json`` and ``--quiet`` are
-    added. An exception of the command becomes one message and an exit code.
+    ``PARAMETERS`` contains the options of the command, to which ``--json`` and ``--quiet`` are
+    added. If the command raises an exception, the program prints one message and ends with an exit
+    code.
     """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:

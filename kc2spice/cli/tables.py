@@ -34,7 +34,7 @@ INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
 
 @dataclass(frozen=True)
 class Caller:
-    """Recipient of the output: a program (JSON), or a person with or without progress."""
+    """Recipient of the output: a program that reads JSON, or a person with or without progress."""
 
     as_json: bool
     quiet: bool
@@ -46,7 +46,7 @@ class Caller:
         return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
 
     def expects_text(self, record: Any, out: Path | None = None) -> bool:
-        """Return whether a person reads the output; otherwise print the JSON ``record``."""
+        """Return whether a person reads the output; otherwise, print ``record`` as JSON."""
         if self.as_json:
             more = {} if out is None else {"directory": str(out.absolute())}
             print(json.dumps({**record, **more} if more else record))
@@ -61,13 +61,13 @@ def _print_limits(stage: str, done: float | None, text: str) -> None:
 
 @contextmanager
 def _show_progress_bars() -> Iterator[Progress]:
-    """Show one progress bar for each stage; completed stages have full bars."""
+    """Show one progress bar for each stage; the bars of completed stages are full."""
     from rich import progress as rich
     from rich.console import Console
     from rich.text import Text
 
     class RemainingColumn(rich.ProgressColumn):
-        """Remaining time of a stage, where it is known."""
+        """Column of a progress bar with the remaining time, if the time is known."""
 
         def render(self, task: rich.Task) -> Text:
             return Text(_describe_remaining(task.fields["end"] - time.monotonic()))
@@ -75,11 +75,11 @@ def _show_progress_bars() -> Iterator[Progress]:
     stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.fields[text]}", markup=False)
     left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
     right = (rich.TimeElapsedColumn(), RemainingColumn(), text)
-    starts = dict[str, float]()  # times at which stages began
+    starts = dict[str, float]()  # start time of each stage
     with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
 
         def fill_bar() -> None:
-            """Fill the bar of the current stage."""
+            """Fill the progress bar of the current stage."""
             for task in bars.tasks:
                 bars.update(task.id, total=1, completed=1, end=math.inf)
 
@@ -101,7 +101,7 @@ def _show_progress_bars() -> Iterator[Progress]:
 
 
 def _describe_remaining(seconds: float) -> str:
-    """Describe a remaining time [s]: minutes and seconds, "" if it is infinite.
+    """Describe a remaining time [s] in minutes and seconds; "" if the time is infinite.
 
     >>> _describe_remaining(75.2), _describe_remaining(-1.0), _describe_remaining(math.inf)
     ('1:15 left', '0:00 left', '')
@@ -120,13 +120,13 @@ def report_errors() -> Iterator[None]:
     )
     try:
         yield
-        # reports a full disk before the interpreter ends
+        # This flush reports a full disk before the interpreter ends.
         sys.stdout.flush()
     except Kc2spiceError as error:
         _print_error(str(error), error.exit_code)
     except KeyboardInterrupt:
         _print_error("interrupted; nothing was written", INTERRUPTED_EXIT_CODE)
-    # the program that reads the pipe has ended, as in `kc2spice scenes | head`
+    # The program that reads the pipe has ended, as in `kc2spice scenes | head`.
     except BrokenPipeError:
         _discard_stdout()
         raise typer.Exit(0) from None
@@ -151,7 +151,7 @@ def report_errors() -> Iterator[None]:
 
 def _discard_stdout() -> None:
     """Discard further output on stdout."""
-    with contextlib.suppress(OSError, ValueError):  # the stream is not a file
+    with contextlib.suppress(OSError, ValueError):  # the stream ``sys.stdout`` is not a file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -200,7 +200,7 @@ def print_tables(sections: Iterable[PageSection]) -> None:
 
 
 def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
-    """Print the result of a run in at most 15 lines; ``verbose`` adds all tables of its report."""
+    """Print the result of a run in at most 15 lines; ``verbose`` adds all tables of the report."""
     from kc2spice.report.run_page import format_results, format_summary
 
     answer = format_summary(result, MAX_METRICS)

@@ -18,17 +18,18 @@ from kc2spice.cli.tables import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
-_SEARCH_ARGUMENT = "SEARCH"  # name of an argument of several words
-_ParserError: Any = typer.BadParameter.__base__  # older versions of typer use the class of click
+_SEARCH_ARGUMENT = "SEARCH"  # name of an argument that consists of several words
+# older versions of typer use the error class of click
+_ParserError: Any = typer.BadParameter.__base__
 
 
 class CheckedCommand(TyperCommand):
-    """Command whose errors have the common form, and whose usage line shows ``SCENE``."""
+    """Command whose errors have four lines, and whose usage line contains ``SCENE``."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the arguments; report mistakes in the common form."""
+        """Parse the arguments; report mistakes as errors of four lines."""
         typed = list(args)
-        # extra arguments are rejected below, with the typed text
+        # Extra arguments are rejected below, in an error that contains the typed text.
         extra.setdefault("allow_extra_args", True)
         with report_errors():
             try:
@@ -45,20 +46,20 @@ class CheckedCommand(TyperCommand):
 
 
 class CheckedCommands(TyperGroup):
-    """Group of all commands, whose errors have the common form."""
+    """Group of all commands; errors have four lines."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         """Parse the options before the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except _ParserError as error:
-            if not hasattr(error, "option_name"):  # without any argument the help is printed
+            if not hasattr(error, "option_name"):  # without arguments, the help is printed
                 raise
             with report_errors():
                 raise _make_unknown_option_error(self, error.option_name, PROGRAM) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command; report an unknown name in the common form."""
+        """Return the command; report an unknown name as an error of four lines."""
         name = str(args[0])
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
             with report_errors():
@@ -82,7 +83,7 @@ def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
 
 
 def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
-    """Make the error of the ``typed`` words that the parser rejected with ``error``."""
+    """Convert the parser's ``error`` about ``typed`` words to an error of four lines."""
     param = getattr(error, "param", None)
     name = getattr(error, "option_name", None)
     if name is not None:
@@ -184,7 +185,7 @@ def _find_example(command: Any) -> str:
 
 
 def _find_option_words(param: Any, typed: list[str]) -> list[str]:
-    """Return the words typed as the last value of an option."""
+    """Return the typed words that are the last value of an option."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -197,7 +198,7 @@ def _find_option_words(param: Any, typed: list[str]) -> list[str]:
 def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
     """Make the error of an option whose value is not a number or out of range.
 
-    ``fractional`` states that the option needs a whole number.
+    With ``fractional``, the typed number has decimals, but the option needs a whole number.
     """
     name, words = param.opts[0], _find_option_words(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)

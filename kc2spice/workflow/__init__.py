@@ -1,1 +1,1 @@
-"""Workflows from a scene to a result, which call all stages in order."""
+"""Workflows from a scene to a result: functions that call all stages in order."""

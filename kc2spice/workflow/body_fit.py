@@ -37,18 +37,21 @@ from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 
-# smallest relative noise: the error of the mesh, which may exceed the noise of the data
+# Smallest assumed relative noise: the error of the mesh can exceed the noise of the data.
 MIN_NOISE = 1e-3
-DIFFERENCE_STEP = 1e-5  # step of finite differences, in logarithms of values
-STATIC_FREQUENCY_RATIO = 1e-3  # static frequency, relative to the lowest frequency of the data
-LOSS_TANGENT_KEY = "damping.loss_tangent"  # no finite-element model contains this key
+DIFFERENCE_STEP = 1e-5  # step of finite differences in the logarithm of a value
+# ratio of the frequency that counts as static to the lowest frequency of the data
+STATIC_FREQUENCY_RATIO = 1e-3
+# the loss tangent is added to the response, because no finite-element model contains it
+LOSS_TANGENT_KEY = "damping.loss_tangent"
 DAMPING_KEYS = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
 LOSS_FACTORS: dict[str, Callable[[float], float]] = {
     "damping.quality": lambda value: 1 / value,
     "damping.ratio": lambda value: 2 * value,
     "damping.loss_factor": lambda value: value,
 }
-MIN_MODE_SHARE = 1e-3  # smallest capacitance of an excited mode, relative to the largest
+# smallest ratio of the motional capacitance of an excited mode to the largest one
+MIN_MODE_SHARE = 1e-3
 CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
 ParameterAxes = dict[str, ParameterAxis]
@@ -56,9 +59,10 @@ ParameterAxes = dict[str, ParameterAxis]
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """Body with its keys, the measurement, and the scene that defines the mesh.
+    """Body with its varied keys, and the measurement.
 
-    ``like`` is that scene. ``counted`` is the number of finite element models.
+    The scene ``like`` defines the mesh. ``counted`` is the number of computed finite-element
+    models.
     """
 
     scene: Scene
@@ -77,7 +81,7 @@ class BodyFit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the real and of the imaginary part of log Y."""
+        """Standard deviation (n,) of the real part, and of the imaginary part, of log Y."""
         return max(self.data.noise, MIN_NOISE)
 
     @property
@@ -88,7 +92,8 @@ class BodyFit:
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
         """Return the full model at values of the keys, and its first electrical port.
 
-        The model has a new mesh, or with ``moved`` the mesh of ``like`` with displaced nodes.
+        The model has a new mesh. With ``moved``, the mesh is the mesh of ``like`` with displaced
+        nodes.
 
         Raises
         ------
@@ -130,7 +135,7 @@ class BodyFit:
         return model
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the keys by the dotted names that they have in the scene."""
+        """Return values of the keys, keyed by their dotted names in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
@@ -144,14 +149,14 @@ class BodyFit:
 
     @property
     def damping(self) -> Damping:
-        """Losses of the scene's part."""
+        """Damping of the part in the scene."""
         return damping_of(self.scene.part(self.part))
 
     def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of a small model with complex constants of IEEE 176.
+        """Return the admittance (n,) [S] of a reduced model with complex constants of IEEE 176.
 
-        The real part of the stiffness equals the stiffness of the scene at the frequency of the
-        damping, or at the lowest resonance that the voltage excites.
+        The stiffness of the scene applies at the frequency of the damping, or at the lowest
+        resonance that a voltage excites.
         """
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
@@ -163,9 +168,9 @@ class BodyFit:
         return np.asarray(2j * np.pi * f * H)
 
     def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return angular frequencies (n,) and gains (n, 1) of the modes of a small model.
+        """Return angular frequencies (n,) and gains (n, 1) of the modes of a reduced model.
 
-        The third value is the lowest resonance [Hz] that the voltage excites.
+        The third result is the lowest resonance [Hz] that a voltage excites.
         """
         K, _, M = pencil.dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
@@ -218,10 +223,10 @@ class BodyFit:
     def log_admittance_changes(
         self, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by cause.
+        """Return the change (n,) of the logarithm of the fitted admittance for each likely cause.
 
-        The causes are effects that the scene may lack: losses that are not varied, and the leads
-        of the measurement.
+        ``Y`` (n,) [S] is the fitted admittance. The causes are effects that the scene can lack:
+        losses that are not varied, and the leads of the measurement.
         """
         model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
@@ -262,7 +267,7 @@ class BodyFit:
         return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def reduce(self, parameter_axes: ParameterAxes, degree: int | None = None) -> Parametric:
-        """Return the reduced model of a parameter range."""
+        """Return the reduced model over a parameter range."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()

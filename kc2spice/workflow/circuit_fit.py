@@ -1,11 +1,8 @@
 """Fit of a part's keys to one or several measured impedances, by the equations of the scene.
 
 The model of each curve is the small-signal response of the whole scene, with the keys of the scene
-that differ in this measurement. The residuals of all curves are those of :mod:`.fit`::
-
-    log(Y_model / Y) / noise
-
-over logarithms of the values within their ranges.
+that differ in this measurement. The residuals are ``log(Y_model / Y) / noise``, as in :mod:`.fit`.
+The unknowns are the logarithms of the values, limited to their ranges.
 """
 
 from __future__ import annotations
@@ -35,10 +32,12 @@ from kc2spice.workflow.fit_record import describe_error, describe_values, match_
 from kc2spice.workflow.misfit import WARNING_MISFIT
 from kc2spice.workflow.models import build_models
 
-MIN_NOISE = 1e-3  # smallest relative noise, below which contacts and temperature matter
-DIFFERENCE_STEP = 1e-5  # step of forward differences, in logarithms of values
+# smallest assumed relative noise; smaller errors depend on contact resistance and temperature
+MIN_NOISE = 1e-3
+DIFFERENCE_STEP = 1e-5  # step of forward differences in the logarithm of a value
 MAX_EVALUATIONS = 60
-# residual of values that the part cannot have, in units of the noise: the descent avoids them
+# Residual, in units of the noise, that is assigned to values that the part cannot have, so that the
+# descent avoids these values.
 IMPOSSIBLE_RESIDUAL = 1e4
 MISFIT_ADVICE = (
     "vary more keys, or restrict each curve by band to frequencies that the model covers"
@@ -46,7 +45,7 @@ MISFIT_ADVICE = (
 
 
 def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.ndarray:
-    """Return the admittance (n,) [S] of a part: its current over its voltage in the scene.
+    """Return the admittance (n,) [S] of a part: current divided by voltage in the scene.
 
     Parameters
     ----------
@@ -59,8 +58,8 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
 
     Raises
     ------
-    UsageError : the part has no voltage and current, equations of a part are missing, or no source
-        drives the part.
+    UsageError : the part has no voltage and current, a part of the scene has no equations, or no
+    source drives the part.
 
     Examples
     --------
@@ -106,7 +105,7 @@ def require_impedance(scene: Scene, part: str) -> None:
 
 
 def _find_network(scene: Scene, part: str) -> Network:
-    """Return the network that contains voltage and current of the part."""
+    """Return the network that contains the voltage and the current of the part."""
     kind = scene.part(part, where=part).type.name
     laws = scene_laws(build_models(scene, Clock()))
     needed = {f"{part}.v", f"{part}.i"}
@@ -131,7 +130,7 @@ def _find_network(scene: Scene, part: str) -> Network:
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """Least squares of all curves over logarithms of the keys."""
+    """Least-squares fit of all curves, whose unknowns are the logarithms of the keys."""
 
     scene: Scene
     part: str
@@ -142,7 +141,7 @@ class CircuitFit:
 
     @property
     def fitted_curves(self) -> list[MeasuredCurve]:
-        """Curves that the fit uses, without those that are only predicted."""
+        """Curves that the fit uses, without curves that are only predicted."""
         return [curve for curve in self.curves if not curve.predict]
 
     @cached_property
@@ -162,14 +161,17 @@ class CircuitFit:
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of the scene of one curve."""
+        """Return the admittance (n,) [S] of the part in the scene of one curve."""
         self.counted[0] += 1
         self.progress("fit", None, f"response {self.counted[0]}")
         overrides = {**self.name_scene_keys(values), **curve.overrides}
         return compute_admittance(load_scene(self.scene, overrides), self.part, curve.data.f)
 
     def residuals(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return real parts, then imaginary parts (2 n,) of all curves over the noise."""
+        """Return the residuals (2 n,) of all curves: real parts, then imaginary parts.
+
+        The residuals are in units of the noise.
+        """
         rows = []
         for curve in self.fitted_curves:
             ratio = np.log(self.admittance(curve, values) / curve.Y)
@@ -178,7 +180,7 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals at the logarithms ``x``; impossible values have large residuals."""
+        """Return the residuals for the logarithms ``x``; impossible values have large residuals."""
         try:
             return self.residuals(self.values(x))
         except (UsageError, SimulationError):
@@ -186,7 +188,7 @@ class CircuitFit:
             return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (2 n, keys) by differences towards the inside of the range."""
+        """Return the derivatives (2 n, keys), by one-sided differences inside the range."""
         columns, middle, first = [], np.mean(self.bounds, axis=0), self.deviation(x)
         for k in range(len(x)):
             step = np.zeros_like(x)
@@ -202,7 +204,7 @@ class CircuitFit:
         UsageError : the scene of a curve is not valid at the first values.
         """
         values = values_of_part(self.keys)
-        self.residuals(values)  # errors of the scene are printed unchanged here
+        self.residuals(values)  # errors of the scene at its own values are raised unchanged
         start = np.log(np.abs(list(values.values())))
         return least_squares(
             self.deviation, start, self.jacobian, self.bounds,

@@ -36,7 +36,8 @@ from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measures
 from kc2spice.workflow.models import build_models
 
-# H; a constraint at rest, which above 1 uHz adds less than a millionth of 1 fg
+# H; at rest, this inductance fixes a displacement; above 1 uHz, it acts like less than a millionth
+# of 1 fg
 HOLD_INDUCTANCE = 1e30
 
 
@@ -50,8 +51,8 @@ def prepare_deck(
 ) -> tuple[Build, Deck]:
     """Return the models and the deck of ``scene``, or its ``edited`` deck.
 
-    Errors of the wiring name file and line before the simulator starts. ``functions`` are the
-    Python functions of controllers by part. Raises as :func:`make_deck` and
+    Wiring errors state file and line, and are raised before the simulator starts. ``functions`` are
+    the Python functions of controllers by part. Raises as :func:`make_deck` and
     :func:`kc2spice.netlist.edited_deck.read_edited_deck` do.
     """
     build = build_models(scene, clock, trust=trust, functions=functions)
@@ -71,7 +72,7 @@ def make_deck(build: Build) -> Deck:
     Raises
     ------
     UsageError : a probe reads an unknown vector; an included file is missing or unsafe; two
-    libraries have one name; no source has the swept key; or there is no operating point.
+    libraries have one name; no source has the swept key; or the scene has no operating point.
     """
     scene = build.scene
     for problem in find_start_errors(scene, build.rests):
@@ -81,7 +82,7 @@ def make_deck(build: Build) -> Deck:
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
     analysis = make_analysis_cards(build)
-    # a separate line of the deck contains the reason
+    # a separate comment line of the deck contains the reason
     ours = () if scene.solver.max_step else (MAX_STEP_KEY,)
     notes = (*header.origin(), *model_comments(plan, ours))
     libraries = list(_list_libraries(build, header))
@@ -125,7 +126,7 @@ def _list_free_nets(scene: Scene) -> Iterator[str]:
 def _is_controller(part: Part, scene: Scene) -> bool:
     """Return whether a part measures a motion and sets a voltage or current.
 
-    A controller may close a control loop.
+    Such a part can close a control loop.
     """
     measures_motion = sets_output = False
     for pin in scene.pins(part.name):
@@ -137,7 +138,7 @@ def _is_controller(part: Part, scene: Scene) -> bool:
 
 
 def _list_libraries(build: Build, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
-    """Yield the different subcircuits, each with the first part that has it.
+    """Yield the different subcircuits, each with the first part that uses it.
 
     Raises
     ------
@@ -165,7 +166,7 @@ def _list_libraries(build: Build, header: Header) -> Iterator[tuple[Part, Subcir
 def _list_items(
     build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
-    """Yield the cards of the parts, of noise sources, and of supports of floating nets."""
+    """Yield the cards of parts, of noise sources, and of supports for nets that would float."""
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
@@ -187,7 +188,8 @@ def _list_items(
 def _list_options(build: Build) -> Iterable[Option]:
     """Return the options of a deck: tolerances, then options of the parts.
 
-    Other analyses than a transient have the tolerance of iterations only if the scene states it.
+    In analyses other than a transient, the tolerance of iterations is an option only if the scene
+    states it.
     """
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
@@ -211,7 +213,7 @@ def _list_options(build: Build) -> Iterable[Option]:
 
 
 def _strictest_options(rows: Iterable[Numerics]) -> list[Option]:
-    """Return the options that parts require; the smallest value if several parts require one."""
+    """Return the options that parts require; of several values of an option, the smallest."""
     result: dict[str, Option] = {}
     for row in rows:
         for key, (value, reason) in row.options.items():
@@ -230,7 +232,7 @@ def _step_comment_lines(build: Build) -> Iterator[str]:
 def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial values of a transient by node.
 
-    Nets that are joined only by dampers begin at 0.
+    A net that only dampers connect to other nets begins at 0.
     """
     if build.scene.analysis.type != "transient":
         return {}
@@ -248,15 +250,15 @@ def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, fl
 
 
 def _card_texts(text: str, name: str) -> list[str]:
-    """Return the statements that a simulator reads in the file ``name``."""
+    """Return the statements that a simulator reads from the ``text`` of the file ``name``."""
     return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
 
 def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """Raise an error if a new library would change another deck in ``out``.
 
-    A deck in ``out`` that is not among the ``files`` is not replaced, and would then simulate
-    another part.
+    Decks in ``out`` that are not among ``files`` are not replaced. With a new library of the same
+    name, such a deck would simulate another part.
 
     Raises
     ------

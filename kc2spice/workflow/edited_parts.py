@@ -1,6 +1,7 @@
-"""Parts of a scene with the values that an edited netlist has.
+"""Parts of a scene with values from an edited netlist.
 
-The keys of a part with different cards no longer describe it, so the part has no checks.
+If the cards of a part were changed so that its keys no longer describe the part, the part has no
+checks.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ def _warn_about_options(edits: DeckEdits, path: Path) -> None:
 
 
 def replace_key_value(part: Part, name: str, old: float, new: float) -> Part | None:
-    """Return the part with the ``new`` value of the key ``name``, ignoring letter case.
+    """Return the part with a ``new`` value of the key ``name``, ignoring its letter case.
 
-    The result is None if no key of the part has the ``old`` value.
+    The result is None if the part has no key of this name with the ``old`` value.
     """
     fields = type(part.keys).model_fields
     key = next((field for field in fields if field.lower() == name.lower()), None)

@@ -40,7 +40,7 @@ def export_scene(
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
-    Bodies from files have all ports that they declare, even if nothing is joined to them.
+    Bodies from files have all ports that their files declare, including ports that are not joined.
     Returns the paths of the files. With ``trust``, included netlists may execute programs and open
     files. With ``count``, the deck has this number of copies of the scene, and no symbols are
     written. ``solver`` names the direct solver of reductions.

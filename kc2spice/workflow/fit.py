@@ -40,9 +40,10 @@ from kc2spice.workflow.misfit import (
     rms_misfit,
 )
 
-# rms misfit relative to |Y|; a larger one indicates another resonance or another part
+# Largest rms misfit relative to |Y|; a larger misfit indicates another resonance or another part.
 MAX_MISFIT = 0.5
-WORSE_COST_RATIO = 2.0  # ratio to the least cost above which another minimum counts as worse
+# ratio of the cost of a minimum to the smallest cost, above which the minimum counts as worse
+WORSE_COST_RATIO = 2.0
 UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES_FILE = "fit.toml"
 RANGES_FILE = "box.toml"
@@ -59,16 +60,17 @@ def fit(
     progress: Progress = ignore_progress,
     shunt: str | float | None = None,
 ) -> dict[str, Any]:
-    """Vary keys of a part until its admittance is the measured one.
+    """Vary keys of a part until its admittance matches the measured admittance.
 
-    Least squares of ``log(Y_model / Y)``, real and imaginary part over the noise of the data, over
-    logarithms of the values within their ranges. The model is a :class:`Parametric` one of all
-    ranges for four descents, from the scene's values and from the best of 64 random samples.
-    Models of narrower ranges around the best values follow until they agree with the full model.
-    Standard errors belong to the linearised problem, scaled by the misfit where it exceeds the
-    noise; if the model does not describe the data they include the scatter over bands of frequency
-    (:mod:`kc2spice.workflow.misfit`). A misfit of more than three times the noise is a warning
-    that names its likely cause.
+    The fit minimises the squares of the real and imaginary parts of ``log(Y_model / Y)``, divided
+    by the noise of the data. The unknowns are the logarithms of the values, limited to their
+    ranges. A :class:`Parametric` model of all ranges is used in four descents, from the scene's
+    values and from the best of 64 random samples. Models of narrower ranges around the best values
+    follow until the fit agrees with the full model. Standard errors are computed from the
+    linearised problem. If the misfit exceeds the noise, they are scaled by the misfit. If the model
+    does not describe the data, they include the scatter over bands of frequency
+    (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a warning names
+    the likely cause.
 
     Parts without finite elements, and several curves, are fitted with the equations of the scene
     (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
@@ -104,12 +106,12 @@ def fit(
     Raises
     ------
     UsageError : the body, key or data do not exist; a key does not change the admittance; the
-    result does not describe the measured part; or ``out`` cannot be written, which is checked
-    before the fit.
+    result does not match the measured part; or ``out`` cannot be written, which is checked before
+    the fit.
 
     Examples
     --------
-    The impedance of a buzzer with a Q factor of 45 gives that Q factor back.
+    A fit to the impedance of a buzzer with a Q factor of 45 finds this Q factor.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -136,7 +138,8 @@ def fit(
         raise UsageError(
             problem, where="shunt", got=shunt, expected="a shunt with the path of a file"
         )
-    assert isinstance(data, (str, Path, MeasuredAdmittance))  # a list of curves is handled above
+    # a list of curves is already handled above
+    assert isinstance(data, (str, Path, MeasuredAdmittance))
     measured = (
         data if isinstance(data, MeasuredAdmittance) else read_measured(Path(data), resistance)
     )
@@ -167,7 +170,7 @@ def fit(
 
 
 def _is_list_of_curves(data: object) -> bool:
-    """Return whether ``data`` is a list of curves, or the TOML file of one."""
+    """Return whether ``data`` is a list of curves, or a TOML file with such a list."""
     if isinstance(data, (str, Path)):
         return Path(data).suffix.lower() == ".toml"
     return not isinstance(data, MeasuredAdmittance)
@@ -182,7 +185,7 @@ def _fit_curves(
     progress: Progress,
     shunt: str | float | None,
 ) -> dict[str, Any]:
-    """Fit several curves by the equations of the scene; arguments as of :func:`fit`."""
+    """Fit several curves by the equations of the scene; the arguments are those of :func:`fit`."""
     require_impedance(scene, part)
     curves = read_curves(data, parse_shunt_resistance(shunt))
     for curve in curves:
@@ -206,7 +209,7 @@ def _fit_curves(
 
 
 def _write_values(path: Path, values: Mapping[str, float]) -> None:
-    """Write values by dotted key as a TOML file for --set."""
+    """Write values with dotted keys to a TOML file for ``--set``."""
     lines = [f'"{key}" = {value!r}' for key, value in values.items()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

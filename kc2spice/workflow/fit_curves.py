@@ -1,7 +1,7 @@
 """Measured curves of one part under several conditions, such as weights on a cone.
 
-A TOML file lists the curves. Each entry names a file, and the scene's keys that differ in this
-measurement.
+A TOML file lists the curves. Each entry contains a data file, and values of scene keys that differ
+in this measurement.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from kc2spice.core.quantities import Frequency, Section, validate
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import read_bounded
 
-MAX_BYTES = 1_000_000  # size of a list of curves
-MIN_POINTS = 4  # frequencies of a curve within its band
+MAX_BYTES = 1_000_000  # largest size of a file with a list of curves
+MIN_POINTS = 4  # smallest number of frequencies of a curve within its band
 EXAMPLE = '[[curve]]  file = "weighted.zma"  set = { "speaker.added_mass" = "8 g" }'
 
 
 class CurveKeys(Section):
-    """One measured curve, and the keys of the scene that differ in this measurement."""
+    """Keys of one ``[[curve]]`` table: data file, band, and scene keys of this measurement."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
@@ -50,9 +50,9 @@ class CurveListKeys(Section):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """A measured admittance with the overrides of its scene.
+    """Measured admittance with the values of scene keys for this measurement.
 
-    If ``predict``, the curve is compared with the fit but not fitted.
+    With ``predict``, the curve is compared with the fit, but not fitted.
     """
 
     data: MeasuredAdmittance
@@ -73,7 +73,8 @@ def read_curves(
     Parameters
     ----------
     data : Path, str or sequence of mapping
-        A TOML file with tables ``[[curve]]``, whose files are relative to it, or these tables.
+        A TOML file with tables ``[[curve]]``, whose data files are relative to the TOML file; or a
+        list of these tables.
     shunt : float, optional
         Resistance [Ohm] in series with the part, for files of gain and phase.
 
@@ -126,7 +127,7 @@ def _read_entries(
 def _restrict(
     measured: MeasuredAdmittance, band: tuple[float, float], where: str
 ) -> MeasuredAdmittance:
-    """Return the frequencies of a curve within ``band`` [Hz]."""
+    """Return the part of a measured curve within ``band`` [Hz]."""
     inside = (measured.f >= band[0]) & (measured.f <= band[1])
     if inside.sum() < MIN_POINTS:
         low, high = measured.f[0], measured.f[-1]

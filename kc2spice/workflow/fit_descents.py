@@ -1,4 +1,4 @@
-"""Descents of the fit of a body: least squares of reduced models, corrected by the full model."""
+"""Descents of a body fit: least squares with reduced models, corrected by the full model."""
 
 from __future__ import annotations
 
@@ -19,24 +19,23 @@ from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
 from kc2spice.workflow.misfit import noise_ratio
 
-# number of random samples of the ranges; number of descents, the first from the values of the scene
+# Number of random samples of the ranges, and number of descents; the first descent begins at the
+# values of the scene.
 RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
-# ratio of successive widths of a range; smallest logarithmic width
+# Ratio of successive widths of a range, and smallest logarithmic width.
 RANGE_RATIO = 0.25
 MIN_LOG_WIDTH = 0.01
-POLYNOMIAL_DEGREE = 3  # degree of polynomials in a narrow parameter range
-RANGE_COUNT = 8  # successive ranges
-MESH_CORRECTIONS = 4  # mesh corrections in each range
-CONVERGED_CHANGE = 0.1  # largest remaining change of the values due to the mesh, in standard errors
+POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
+RANGE_COUNT = 8  # number of successive ranges
+MESH_CORRECTIONS = 4  # number of mesh corrections in each range
+# largest remaining change of the values by mesh corrections, in standard errors
+CONVERGED_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """Result of a descent.
-
-    Values, the linearised problem at these values, and the parameter range.
-    """
+    """Result of a descent: values, parameter range, and the linearised problem at these values."""
 
     values: dict[str, float]
     solved: OptimizeResult
@@ -45,16 +44,16 @@ class DescentResult:
 
     @property
     def cost(self) -> float:
-        """Half of the sum of squares."""
+        """Half of the sum of squared residuals."""
         return float(self.solved.cost)
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Least squares of a reduced model within its parameter ranges.
+    """Least-squares fit of a reduced model within its parameter ranges.
 
-    The variables are logarithms of the values. ``degree`` is the degree of the polynomials in the
-    parameters; by default the reduction chooses it.
+    The variables are the logarithms of the values. ``degree`` is the degree of the polynomials in
+    the parameters; by default the reduction chooses it.
     """
 
     body: BodyFit
@@ -68,22 +67,22 @@ class Descent:
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends (keys,) of the logarithms of the absolute values."""
+        """Lower and upper limits (keys,) of the logarithms of the absolute values."""
         ends = np.log(np.abs([[axis.low, axis.high] for axis in self.parameter_axes.values()]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the values of the keys at the logarithms ``x`` (keys,), clipped to the range."""
+        """Return the values of the keys for the logarithms ``x`` (keys,), limited to the range."""
         signs = np.sign(list(map(attrgetter("low"), self.parameter_axes.values())))
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return :meth:`log_ratio` (2 n,) of the reduced model at the logarithms ``x``."""
+        """Return :meth:`log_ratio` (2 n,) of the reduced model for the logarithms ``x``."""
         return self.log_ratio(self.body.response(self.reduced, self.values(x)))
 
     def log_ratio(self, Y: np.ndarray) -> np.ndarray:
-        """Return real and imaginary part (2 n,) of log(Y / measurement), over the noise."""
+        """Return real and imaginary parts (2 n,) of log(Y / measurement), divided by the noise."""
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
@@ -101,7 +100,7 @@ class Descent:
         return np.column_stack(columns)
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the logarithms (keys,) of values, clipped to the range."""
+        """Return the logarithms (keys,) of values, limited to the range."""
         return np.clip(
             np.log(np.abs(list(map(values.__getitem__, self.parameter_axes)))), *self.bounds
         )
@@ -116,7 +115,7 @@ class Descent:
 
 
 def descend(descent: Descent) -> list[DescentResult]:
-    """Return the results of all descents in the full ranges, the best first."""
+    """Return the results of all descents in the full ranges, beginning with the best."""
     low, high = descent.bounds
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
@@ -128,7 +127,7 @@ def descend(descent: Descent) -> list[DescentResult]:
 def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     """Correct the result of a descent by the residual of the full model.
 
-    Each step uses the derivatives of the reduced model. The steps end when they change every
+    Each step uses the derivatives of the reduced model. The steps end when a step changes every
     combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error. The result is
     None if the steps do not converge within the range.
     """
@@ -152,10 +151,10 @@ def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
 
 
 def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
-    """Refine the result of a descent until the full model fits.
+    """Refine the result of a descent until the full model matches the data best.
 
-    If the derivatives of the reduced model do not lead to the solution, models of narrower ranges
-    follow.
+    If steps with the derivatives of the reduced model do not converge, reduced models of narrower
+    ranges are used.
 
     Raises
     ------
@@ -167,7 +166,7 @@ def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
         result = _correct_end(descent, end)
         if result is not None:
             return result
-        # the scene at these values has a mesh without displaced nodes
+        # The new scene ``like`` at these values has a mesh without displaced nodes.
         body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
         parameter_axes = {}
         for item, half in zip(body.keys, widths.tolist(), strict=True):
@@ -189,13 +188,13 @@ def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
 
 
 def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
-    """Return the part of a key's range within a factor ``exp(half)`` of a value."""
+    """Return the part of a key's range between ``value / exp(half)`` and ``value exp(half)``."""
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
 def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
-    """Return whether a value is at an end of a narrow range, inside the key's full range."""
+    """Return whether a value is at an end of a narrow range that lies inside the full range."""
     x = axis.coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

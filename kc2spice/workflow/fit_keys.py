@@ -16,14 +16,15 @@ from kc2spice.parts.bodies._box import VariedKey, make_varied_key, number_of
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.grid import parse_value
 
-# half range of a key as a ratio: ceramics vary by 30 %, losses by a factor of ten
+# Default ratio of the ends of a range to the value: ceramics vary by 30 %, losses by a factor of
+# ten.
 VALUE_RANGE = 1.3
 LOSS_RANGE = 10.0
 _LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
-# smallest height of a peak, relative to the largest conductance and to the noise
+# Smallest height of a peak, relative to the largest conductance, and relative to the noise.
 MIN_PROMINENCE = 0.005
 MIN_NOISE_RATIO = 8.0
-# half-width of a parameter range of the netlist: standard errors, and smallest relative value
+# Half-width of a netlist's parameter range in standard errors, and smallest relative half-width.
 RANGE_ERRORS = 2.0
 MIN_HALF_WIDTH = 1.1e-3
 
@@ -80,9 +81,10 @@ def compute_log_widths(keys: Sequence[VariedKey]) -> list[float]:
 
 
 def format_calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return ``rom.parameters`` of the part with ranges that contain calibrated parts.
+    """Return ``rom.parameters`` of the part with ranges around the fitted values.
 
-    Every key is within :data:`RANGE_ERRORS` standard errors of its value, and within its range.
+    Each range extends :data:`RANGE_ERRORS` standard errors on both sides of the value, and is
+    limited to the range of the fit.
     """
     result = []
     for key, item in parameters.items():

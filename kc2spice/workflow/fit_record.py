@@ -15,7 +15,7 @@ from kc2spice.parts.bodies._box import VariedKey
 from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound
 from kc2spice.workflow.misfit import estimate_covariance, noise_ratio, rms_misfit
 
-# A combination of keys is undetermined if its standard error, times this number, exceeds the widest
+# A combination of keys is undetermined if this multiple of its standard error exceeds the widest
 # range of a key.
 ERRORS_PER_RANGE = 4
 
@@ -23,7 +23,7 @@ ERRORS_PER_RANGE = 4
 def describe_values(
     keys: Sequence[VariedKey], values: Mapping[str, float], J: np.ndarray, residuals: np.ndarray
 ) -> dict[str, Any]:
-    """Return the fitted values with standard errors, their correlation and the misfit.
+    """Return the fitted values with standard errors, their correlations, and the misfit.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def describe_values(
 
     Raises
     ------
-    UsageError : a key changes the residuals less than noise, in its whole range.
+    UsageError : over its whole range, a key changes the residuals by less than the noise.
     """
     names, widths = list(map(attrgetter("key"), keys)), np.array(compute_log_widths(keys))
     unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
@@ -80,7 +80,7 @@ def describe_error(size: np.ndarray) -> dict[str, float]:
 def match_resonances(
     data: MeasuredAdmittance, start: np.ndarray, end: np.ndarray
 ) -> list[dict[str, float | None]]:
-    """Return the resonances of the measurement, of the start and of the end in rising order.
+    """Return the resonances of measurement, start and end of the fit, in ascending order.
 
     A resonance is a peak of the conductance. ``start`` and ``end`` (n,) [S] are admittances at the
     values of the scene and at the fitted values.

@@ -1,12 +1,14 @@
 """Cards ``.meas`` of a deck, with which the simulator computes probes and main metrics.
 
-A card exists for each quantity of one vector that ngspice computes in the same way as the program:
-extremes and their places, their difference, means, values at a place, crossings of a level and the
-last value. In ``ac``, extremes are values at computed points; the metric interpolates between the
-points. An ``op`` has no cards: its deck prints the vectors.
+A card exists for each quantity of a single vector that ngspice and kc2spice compute in the same
+way. These quantities are extremes and their positions, the difference of extremes, means, values at
+a position, crossings of a level, and the last value. In ``ac``, the extremes of the cards are
+values at computed points, but the metric interpolates between the points. An ``op`` has no cards:
+its deck prints the vectors.
 
-ngspice has no card for these quantities: fits of an impedance (antiresonance, Q
-factor, capacitance), cycles of a frequency, and windows, whose ends lie between time points.
+ngspice has no card for these quantities: values that are fitted to an impedance (antiresonance, Q
+factor, capacitance), frequencies from counted cycles, and windows whose ends are between time
+points.
 """
 
 from __future__ import annotations
@@ -25,17 +27,18 @@ from kc2spice.scene.settings import Probe
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Probe functions of a magnitude that a card computes like kc2spice, without interpolation.
+# Probe functions of a magnitude that a card computes in the same way as kc2spice, without
+# interpolation.
 _MAGNITUDE_FUNCTIONS = ("max", "argmax", "crossing")
 _VALID_NAME = re.compile(r"[A-Za-z]\w*")
 ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
 
 
 class _Wave(NamedTuple):
-    """Vector of the simulator in an analysis of some ``kind``.
+    """Vector of the simulator in an analysis of a ``kind``.
 
-    ``factor`` is the SI value of its unit, ``per_unit`` the volts or amperes of a dc sweep for one
-    SI unit of the scale. ``last`` is the last place on the scale.
+    ``factor`` is the SI value of the vector's unit. ``per_unit`` is the voltage or current of a dc
+    sweep for one SI unit of the swept key. ``last`` is the last value of time, frequency or sweep.
     """
 
     kind: str
@@ -48,7 +51,7 @@ class _Wave(NamedTuple):
 def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
     """Return the measures of a scene, probes first.
 
-    ``sweep_scale`` is the volts or amperes of a dc sweep for one SI unit of the swept key.
+    ``sweep_scale`` is the voltage or current of a dc sweep for one SI unit of the swept key.
     """
     count, probes = Counter[str](), dict[str, Probe | LargestRealPart]()
     for name, part in build.scene.parts.items():
@@ -57,7 +60,7 @@ def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
             count.update(metrics.keys())
             probes |= metrics
     for name in count:
-        if count[name] > 1:  # a name that several parts have gets no card
+        if count[name] > 1:  # a metric name that several parts have has no card
             del probes[name]
     return tuple(_list_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 
@@ -77,10 +80,10 @@ def _list_measures(
 
 
 def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
-    """Return a result that is one vector of the simulator.
+    """Return the simulator's vector of a result.
 
-    The result is None for a sum, for a sweep that returns, and for a result that a part corrects
-    after the run.
+    None is returned for a sum of vectors, for a sweep that returns to its first value, and for a
+    result that a part corrects after the run.
     """
     kind = ANALYSIS_KINDS.get(scene.analysis.type)
     if kind is None or result is None or len(result.terms) != 1 or result.corrected:
@@ -92,9 +95,9 @@ def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave
 
 
 def _list_probe_measures(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
-    """Yield the measure of a probe, or nothing if no card computes this probe.
+    """Yield the measure of a probe, if a card can compute this probe.
 
-    In ``ac`` it is the magnitude of a voltage.
+    In ``ac``, the card measures the magnitude of a voltage.
     """
     kind, text, factor, take = wave.kind, wave.text, wave.factor, probe.take
     if kind == "op":
@@ -122,5 +125,5 @@ def _list_probe_measures(name: str, probe: Probe, wave: _Wave) -> Iterator[Measu
 
 
 def _signed_extreme(word: str, factor: float) -> str:
-    """Return the measure of an extreme; a negative unit exchanges minimum and maximum."""
+    """Return the measure of an extreme; a negative factor exchanges minimum and maximum."""
     return _OPPOSITE_EXTREMES.get(word, word) if factor < 0 else word

@@ -43,10 +43,11 @@ def compare_methods(
     -------
     dict[str, Any]
         The output of ``kc2spice reduce --method compare --json``: ``methods`` contains a row for
-        each method with its ``order``, its ``states`` of first order, ``error_estimate`` in the
-        norm, ``peak_error``, which is relative to the peak of each entry, and ``cpu_s``. A method
-        without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis
-        of the full-order model, which all methods use. ``stable`` refers to the full-order model.
+        each method with ``order``, the number of first-order ``states``, ``error_estimate`` in the
+        norm, ``peak_error`` relative to the peak of each entry, and ``cpu_s``. The row of a method
+        without a model contains a ``reason`` instead of states. ``shared_cpu_s`` is the CPU time
+        for the basis of the full-order model, which all methods use. ``stable`` states whether the
+        full-order model is stable.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def compare_methods(
     shared = time.process_time() - begin
     rows = []
     with warnings.catch_warnings():
-        # each model has an error estimate, so the warnings of trials are not shown
+        # Each model has an error estimate, so warnings of the single reductions are suppressed.
         warnings.simplefilter("ignore")
         for method in reductor_names():
             progress("reduce", None, method)
@@ -94,7 +95,7 @@ def compare_methods(
 
 
 def require_method_option(name: str) -> None:
-    """Raise an error if the option ``--method`` names no reduction method."""
+    """Raise an error if ``--method`` is not the name of a reduction method."""
     require_method_name(name, "--method", "leave out --method: all methods are tried then")
 
 
@@ -114,7 +115,7 @@ def _load_model(path: Path | str) -> LinearModel:
 def _run_method(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
-    """Return states, error estimate and CPU time [s] of a method, or its failure reason."""
+    """Return states, error estimate and CPU time [s] of a method, or the reason of its failure."""
     begin, rom, reason = time.process_time(), None, None
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)
@@ -136,5 +137,5 @@ def _run_method(
 
 
 def first_order_states(rom: LinearModel) -> int:
-    """Return the number of states in first order."""
+    """Return the number of first-order states of a model."""
     return rom.order * (1 if rom.first_order else 2)

@@ -3,13 +3,13 @@
 The input is the residuals ``r`` of a fit in units of the noise, real parts before imaginary parts,
 and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:
 
-- Residuals that are only noise have m near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
-- Residuals of a model that does not describe its data are correlated over neighbouring
-  frequencies and are largest where the keys have the largest effect. This formula does not apply
-  to them. From :data:`MODEL_ERROR_MISFIT` on, the scatter of the values is added when each of
-  :data:`BAND_COUNT` contiguous bands of frequency is left out in turn: the jackknife of blocks,
-  whose covariance is ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` for g bands (H. R. Kuensch,
-  Annals of Statistics 17 (1989) 1217).
+- If the residuals are only noise, m is near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
+- If the model does not describe the data, the residuals at neighbouring frequencies are correlated,
+  and they are largest where the keys have the largest effect. This formula then does not apply.
+  If m exceeds :data:`MODEL_ERROR_MISFIT`, the block jackknife is added: the values are fitted
+  again without each of :data:`BAND_COUNT` contiguous frequency bands. For g bands, its covariance
+  is ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` (H. R. Kuensch, Annals of Statistics 17
+  (1989) 1217).
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-# misfit above the misfit of noise, which scatters by 10 % with 50 points
+# Misfit above which the model has errors; the misfit of pure noise scatters by 10 % with 50 points.
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
-WARNING_MISFIT = 3.0  # misfit from which a fit warns
-# ratio of the remaining sum of squares to the smallest one, below which causes are equally likely
+WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
+# Ratio of a cause's remaining sum of squares to the smallest one; below this ratio, both causes are
+# equally likely.
 EQUAL_LIKELIHOOD_RATIO = 1.1
-EXPLAINED_SHARE = 0.5  # smallest share of the sum of squares that a likely cause removes
+EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
 
 
 def rms_misfit(residuals: np.ndarray, keys: int) -> float:
@@ -83,7 +84,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
 
 
 def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
-    """Return the change (k,) of the values if a fit leaves out the frequencies of ``band``."""
+    """Return the change (k,) of the values if the fit omits the frequencies in ``band``."""
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
     return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
@@ -92,7 +93,7 @@ def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray)
 def find_likely_cause(
     J: np.ndarray, residuals: np.ndarray, causes: Mapping[str, np.ndarray]
 ) -> str | None:
-    """Return the first cause that explains nearly as much of the residuals as any other.
+    """Return the most frequent of the causes that best explain the residuals.
 
     The amount of each cause is fitted together with the values.
 
@@ -103,13 +104,13 @@ def find_likely_cause(
     residuals : (2 n,) array
         Residuals at the end of the fit.
     causes : mapping
-        For each cause, the most frequent first, the change (n,) of the logarithm of the admittance
-        per amount, which is positive.
+        For each cause, the change (n,) of the logarithm of the admittance for the amount 1. The
+        most frequent cause is first. Amounts are positive.
 
     Returns
     -------
     str or None
-        None if no cause removes more than half of the squares.
+        None if no cause removes more than half of the sum of squares.
     """
     total = float(residuals @ residuals)
     left = {name: _residual_with_cause(J, residuals, column) for name, column in causes.items()}
@@ -120,7 +121,7 @@ def find_likely_cause(
 
 
 def _residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Return the sum of squares after a fit with one more column, of positive amount."""
+    """Return the sum of squared residuals after a fit with a positive amount of a cause."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

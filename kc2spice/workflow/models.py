@@ -1,4 +1,4 @@
-"""Models of a scene's parts: finite elements, reductions and field tables, built and cached."""
+"""Models of parts (finite elements, reductions, field tables), built or from the cache."""
 
 from __future__ import annotations
 
@@ -52,21 +52,21 @@ def build_models(
 
 
 def _resolve_equations(build: Build) -> Build:
-    """Return the build with results, laws and linearised networks of its parts."""
+    """Return the build with the results and laws of its parts, and with linearised networks."""
     return with_linearised_scene(with_laws(resolve_build(build)))
 
 
 def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[str]) -> Build:
     """Return the build with changed keys of parts, and with unchanged models.
 
-    The parts ``unjudged`` have neither checks nor an energy balance.
+    For the parts ``unjudged``, neither checks nor energy balances are computed.
     """
     judged = replace(build, unjudged=build.unjudged.union(unjudged))
     return rebuild_with_scene(judged, replace(build.scene, parts=parts))
 
 
 def rebuild_with_scene(build: Build, scene: Scene) -> Build:
-    """Return a build for changed keys that reuses pins, nets and models."""
+    """Return a build for a scene with changed keys, which reuses pins, nets and models."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 
@@ -132,7 +132,7 @@ def model_values(build: Build) -> dict[str, dict[str, float]]:
     return result
 
 
-# SI units of the values in ``model`` of result.json; other values have no unit.
+# SI units of values in the table ``model`` of result.json; other values have no unit.
 VALUE_UNITS = {
     "mass_kg": "kg", "resonance*_hz": "Hz", "*capacitance_*f": "F", "depoling_voltage_v": "V",
     "free_stroke_*_m_per_v": "m/V", "free_stroke_*_m_per_100v": "m per 100 V", "extent_*_mm": "mm",
@@ -142,7 +142,7 @@ VALUE_UNITS = {
 
 
 def value_units(facts: Mapping[str, float]) -> dict[str, str]:
-    """Return the SI units of a model's values that have one."""
+    """Return the SI units of a model's values; values without a unit are left out."""
     result = {}
     for name in facts:
         pattern = next(filter(partial(fnmatchcase, name), VALUE_UNITS), None)

@@ -1,4 +1,4 @@
-"""The operating point about which ``ac`` and ``noise`` are linear."""
+"""Operating point at which ``ac`` and ``noise`` analyses are linearised."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from kc2spice.workflow.models import rebuild_with_scene
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Results of all parts at an operating point, with checks."""
+    """Results of all parts at an operating point, with their checks."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -32,17 +32,17 @@ class OperatingPoint:
 def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
-    The result is None for other analyses, for edited decks, and for scenes that contain linear
-    parts only: their small signals are the same about every point. If no operating point is found,
-    a warning replaces it.
+    The result is None for other analyses, for edited decks, and for scenes with linear parts only,
+    whose small-signal responses are the same at every operating point. If no operating point is
+    found, a warning is printed.
     """
     scene = build.scene
     if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:
         return OperatingPoint()
-    # The probes remain, because they determine the pins of a body; this run has no noise result.
+    # The probes are kept, because they determine the pins of a body. This run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    # Pins and models are unchanged, so that films and eddy currents are resolved to the same
+    # Pins and models are unchanged, so that films and eddy currents are resolved up to the same
     # frequency, the end of the range.
     resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:

@@ -1,11 +1,11 @@
 """Larger orders for reduced bodies whose error in a transient is too large.
 
-A run compares each reduced body with a model of more states under the recorded loads (see
-:mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction
-without a further run. The scene runs again with the least order whose error is within the limit,
-or with the order of the smallest error. The error of the new run is evaluated under the loads of
-this run. The search ends if the error is within the limit, if more states are too many or do not
-help, or after :data:`MAX_RERUNS` runs.
+A run compares each reduced body with a model with more states under the recorded loads (see
+:mod:`kc2spice.rom.enriched`). With the same loads, the errors of larger orders are computed without
+further runs. The scene then runs again with the smallest order whose error is within the limit, or
+with the order of the smallest error. The error of the new run is computed under the loads of the
+new run. The search ends if the error is within the limit, if the number of states is too large, if
+more states do not reduce the error, or after :data:`MAX_RERUNS` runs.
 """
 
 from __future__ import annotations
@@ -34,24 +34,27 @@ from kc2spice.synthesis.ringing import time_per_point
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, simulate_deck
 
-# Factors of the order and of the highest frequency of the band, tried until the error is within its
-# limit. Massless modes begin above the band (docs/explanation/contact.md): at a damping of 0.01 %,
-# they cause an error of 1.8 % for any order, and of 0.7 % with twice the band.
+# Factors on the order, and on the highest frequency of the band, which are used one after the other
+# until the error is within its limit. A wider band is necessary because massless modes begin above
+# the band (docs/explanation/contact.md). At a damping ratio of 0.01 %, these modes cause an error
+# of 1.8 % for any order, but of 0.7 % with twice the band.
 ORDER_FACTORS = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
-MAX_VECTORS = 400  # largest order of a model; each vector takes a solution of the full model
-# largest number of states of a model; every state adds time to each simulator step
+MAX_VECTORS = 400  # largest order of a model; each basis vector needs a solution of the full model
+# Largest number of states of a model, because each state lengthens every step of the simulator.
 MAX_STATES = 200
-MAX_RERUNS = 3  # largest number of further runs; each has at least twice the previous order
+MAX_RERUNS = 3  # largest number of further runs, each of which at least doubles the order
 MAX_SECONDS = 300.0  # largest expected CPU time [s] of the simulator for a further run
-IMPROVEMENT_RATIO = 0.7  # largest ratio of new to present error that justifies a further run
+# largest ratio of new error to present error for which a further run is made
+IMPROVEMENT_RATIO = 0.7
 
 
 @dataclass(frozen=True)
 class LargerOrder:
     """Larger order of a body, set by ``keys`` of the scene.
 
-    ``states`` and ``error``, under the loads of the run, are pairs for the present and the larger
-    model. ``seconds`` is the expected CPU time of the simulator for a run with the larger model.
+    ``states`` and ``error`` (under the loads of the run) are pairs of values for the present and
+    the larger model. ``seconds`` is the expected CPU time of the simulator for a run with the
+    larger model.
     """
 
     part: str
@@ -75,9 +78,9 @@ class LargerOrder:
 def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
     """Repeat a run with larger orders until the error under the recorded loads is small.
 
-    Returns the run whose reduced bodies have the smallest error. The files of that run are in the
-    directory ``work``. Prints the orders and their errors as warnings, and the reason for the end
-    of the search if the error remains too large.
+    The result is the run whose reduced bodies have the smallest error. The files of this run are in
+    the directory ``work``. Warnings state the orders and their errors, and the reason for the end
+    of the search if the error is still too large.
     """
     for _ in range(MAX_RERUNS):
         scene, chosen, ends = _search_larger_orders(run, clock)
@@ -98,10 +101,10 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
 
 
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return keys of the scene with which a failed run may succeed; empty without such keys.
+    """Return keys of the scene with which a failed run can succeed; empty without such keys.
 
-    The keys are those that the checks of the run suggest. If a body is still too coarse although
-    its order is among the ``automatic`` keys, the order is doubled once more.
+    The checks of the run suggest these keys. If a body is still too coarse although its order is
+    among the ``automatic`` keys, the order is doubled again.
     """
     if error.suggested:
         return error.suggested
@@ -115,7 +118,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
 def _run_again(
     run: Run, scene: Scene, chosen: Sequence[LargerOrder], work: Path, clock: Clock
 ) -> Run | None:
-    """Run the scene with the ``chosen`` orders; None if the run fails or has no smaller error."""
+    """Run the scene with ``chosen`` orders; None if the run fails or its error is not smaller."""
     build = run.build
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
@@ -142,7 +145,7 @@ def _run_again(
 
 
 class _Search(NamedTuple):
-    """Scene with the best larger orders of its bodies, and the reason for each end of a search."""
+    """Scene with the best orders of its bodies, and the reason for the end of each search."""
 
     scene: Scene
     chosen: tuple[LargerOrder, ...] = ()
@@ -150,7 +153,7 @@ class _Search(NamedTuple):
 
 
 def _violated_checks(run: Run) -> dict[str, Check]:
-    """Return violated checks of errors under the recorded loads, keyed by body."""
+    """Return the violated checks of the error under the recorded loads, keyed by body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {
         part.name: checks.get(f"reduction of {part.name}") for part in _bodies_with_order(run)
@@ -164,7 +167,7 @@ def _bodies_with_order(run: Run) -> Iterator[Part]:
 
 
 def _search_larger_orders(run: Run, clock: Clock) -> _Search:
-    """Search an order for each body whose error under the recorded loads is too large."""
+    """Find a larger order for each body whose error under the recorded loads is too large."""
     result = _Search(run.build.scene)
     for name, check in _violated_checks(run).items():
         result = _search_larger_order(run, result, name, check, clock)
@@ -174,9 +177,9 @@ def _search_larger_orders(run: Run, clock: Clock) -> _Search:
 def _search_larger_order(
     run: Run, earlier: _Search, name: str, check: Check, clock: Clock
 ) -> _Search:
-    """Search the smallest multiple of the order whose error is within the limit of ``check``.
+    """Find the smallest multiple of the order whose error is within the limit of ``check``.
 
-    If no multiple is within the limit, the result is the multiple with the least error. The scene
+    If no error is within the limit, the result is the multiple with the smallest error. The scene
     already has the orders of an ``earlier`` search for other bodies.
     """
     build, part = run.build, run.build.scene.parts[name]
@@ -229,8 +232,8 @@ def _search_larger_order(
 def _estimate_run_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
     """Estimate the CPU time [s] of a run with a ``larger`` model.
 
-    The time is proportional to the time of a point and to the highest frequency of a mode with
-    inertia, because the time steps resolve its periods.
+    The CPU time is proportional to the time for one point, and to the highest natural frequency of
+    modes with inertia, because the time steps resolve its period.
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
@@ -244,7 +247,7 @@ def _highest_natural_frequency(model: LinearModel) -> float:
 
 
 def _largest_error(run: Run, names: Sequence[str]) -> float:
-    """Return the largest error of the bodies ``names`` under the loads that ``run`` recorded."""
+    """Return the largest error of the bodies ``names`` under the recorded loads of ``run``."""
     result = 0.0
     for name in names:
         part = run.build.scene.parts[name]

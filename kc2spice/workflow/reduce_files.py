@@ -71,9 +71,9 @@ from kc2spice.workflow.thermal_transients import (
 )
 
 DEFAULT_TOLERANCE = 1e-4
-MAX_MISFIT = 0.1  # error of a measured part above which no model is written
-WARNING_MISFIT = 0.01  # error of a measured part above which the command warns
-MAX_NOISE_RATIO = 3.0  # multiple of the noise (rms) up to which an error is accepted
+MAX_MISFIT = 0.1  # error of a fit to a measured part above which no model is written
+WARNING_MISFIT = 0.01  # error of a fit to a measured part above which a warning is printed
+MAX_NOISE_RATIO = 3.0  # largest accepted error, as a multiple of the rms noise
 
 
 def reduce_file(
@@ -94,10 +94,10 @@ def reduce_file(
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
 
-    A measured response becomes the passive circuit of
-    :func:`kc2spice.rom.branch_fit.fit_one_port`, or of
-    :func:`kc2spice.rom.multiport.fit_multiport`, and a thermal transient the network of
-    :func:`kc2spice.rom.transient_fit.fit_transient`; its order and band follow from the data.
+    A measured response becomes a passive circuit (:func:`kc2spice.rom.branch_fit.fit_one_port` or
+    :func:`kc2spice.rom.multiport.fit_multiport`). A thermal transient becomes a network
+    (:func:`kc2spice.rom.transient_fit.fit_transient`). The data determine the order and the band of
+    both.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def reduce_file(
         signals, and ``"pointwise"`` for all others.
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
-        ``"open"``. By default it is extrapolated from the data.
+        ``"open"``. By default, this resistance is extrapolated from the data.
     shunt : str or float, optional
         Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
         number in Ohm. A table of gain and phase needs it.
@@ -130,8 +130,8 @@ def reduce_file(
     network : "foster" or "cauer", optional
         Form of the network of a model with one thermal port. The default is ``"foster"``.
     method : str, optional
-        Method of reduction. By default response POD and the variants
-        of balanced truncation that suit the model are tried.
+        Method of reduction. By default, response POD and the suitable variants of balanced
+        truncation are compared.
     solver : "pardiso", optional
         Direct solver of the reduction instead of CHOLMOD and SuperLU.
     progress : callable, optional
@@ -150,7 +150,7 @@ def reduce_file(
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
     is checked before the reduction. Nothing is written.
     SimulationError : the tolerance cannot be met; nothing was written.
-    GateMissedError : the circuit of the reduced model misses it; nothing was written.
+    GateMissedError : the circuit of the reduced model misses the tolerance; nothing was written.
 
     Examples
     --------
@@ -177,7 +177,7 @@ def reduce_file(
         return _reduce_matrices(path, out, band, tolerance, order, norm, method, form, progress)
 
 
-# Problem and expectation of options that do not apply.
+# For options that do not apply: the problem, and the expected input.
 _FROM_DATA = (
     "this option does not apply to a measured response",
     "a measured response without this option",
@@ -201,7 +201,7 @@ _OF_CONSTANT_MODEL = (
 
 
 def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> None:
-    """Refuse options that do not apply.
+    """Reject options that do not apply.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def _reduce_affine(
     settings: dict[str, Any],
     progress: Progress,
 ) -> dict[str, Any]:
-    """Reduce matrices over the ranges of their parameters, and write the polynomials."""
+    """Reduce matrices over the ranges of their parameters, and write the parametric model."""
     _refuse_options(options, *_OF_CONSTANT_MODEL)
     name, names = f"{model.name}_rom", list(model.defaults)
     require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
@@ -295,7 +295,7 @@ def _reduce_affine(
 
 
 def describe_order(model: LinearModel) -> str:
-    """Return whether the equations of a model are of first or second order."""
+    """Return whether a model has first-order or second-order equations in time, as text."""
     return "first order" if model.first_order else "second order"
 
 
@@ -307,11 +307,11 @@ def load_full_model(path: Path | str) -> LinearModel:
 def _require_names(model: LinearModel, name: str) -> None:
     """Check the port names of the model before the reduction, which can take hours.
 
-    As a test, a model of one state with the same ports is written as a subcircuit.
+    For this check, a model with one state and the same ports is written as a subcircuit.
 
     Raises
     ------
-    UsageError : a port has the name of a node inside of the subcircuit, or of another pin.
+    UsageError : a port has the name of an inner node of the subcircuit, or of another pin.
     """
     names = {port.name for port in model.ports if port.charged}
     D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
@@ -361,8 +361,11 @@ def _reduce_measured(
     shunt: str | float | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Convert a measurement to the nearest passive circuit: parallel branches for one port if they
-    fit, otherwise poles of any kind."""
+    """Convert a measurement to the nearest passive circuit.
+
+    A one-port becomes a circuit of parallel branches, if such a circuit matches the data.
+    Otherwise, the measurement becomes a state-space model with arbitrary poles.
+    """
     conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path, parse_shunt_resistance(shunt))
@@ -417,7 +420,7 @@ def _fit_passive_model(
 ) -> LinearModel:
     """Return the passive model of measured samples.
 
-    ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
+    A note is appended to ``notes`` if the model does not consist of parallel branches.
     """
     if data.Y.shape[1] > 1:
         return _fit_poles(data)
@@ -447,7 +450,7 @@ def _fit_passive_model(
 
 
 def _fit_poles(data: MeasuredAdmittance) -> LinearModel:
-    """Return the passive model of measured samples with poles of any kind."""
+    """Return a passive state-space model of measured samples with arbitrary poles."""
     from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
 
     return fit_multiport(data.f, data.Y, data.noise, data.where)
@@ -455,7 +458,7 @@ def _fit_poles(data: MeasuredAdmittance) -> LinearModel:
 
 @dataclass(frozen=True)
 class _Misfit:
-    """The ``error`` of a model, its ``limit``, and the ``noise`` of the data in the same norm."""
+    """Error of a model, its ``limit``, and the ``noise`` of the data in the same norm."""
 
     error: float
     limit: float
@@ -468,7 +471,7 @@ class _Misfit:
 
 
 def _misfit(model: LinearModel, data: MeasuredAdmittance) -> _Misfit:
-    """The error of a model beside the noise of the data."""
+    """Return the error of a model with the noise of the data."""
     certificate = model.certificate
     assert certificate is not None
     noise = data.relative_noise(certificate.norm)
@@ -476,22 +479,22 @@ def _misfit(model: LinearModel, data: MeasuredAdmittance) -> _Misfit:
 
 
 def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
-    """Largest relative deviation of the admittance of one port from the samples."""
+    """Return the largest relative deviation of a one-port's admittance from the samples."""
     charge = model.transfer(data.f)[:, 0, 0]
     return float(np.abs(2j * np.pi * data.f * charge / data.Y[:, 0, 0] - 1).max())
 
 
 def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
-    """Whether a model misses data whose noise does not explain this.
+    """Return whether the deviation of a model from the data is larger than noise explains.
 
-    An example is a loudspeaker: its resonance is parallel, in series with a coil.
+    An example is a loudspeaker, whose parallel resonance is in series with a coil.
     """
     misfit = _misfit(model, data)
     return misfit.exceeds and misfit.limit == MAX_MISFIT
 
 
 def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
-    """Refuse a model whose error exceeds the noise considerably."""
+    """Reject a model whose error is too large, and is far above the noise."""
     certificate, misfit = model.certificate, _misfit(model, data)
     if certificate is None or not misfit.exceeds:
         return
@@ -565,7 +568,10 @@ def _describe_reduced(
 
 
 def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearModel | None:
-    """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
+    """Return the full model of ``SCENE:PART`` with the ports that its scene needs.
+
+    The result is None if ``text`` is a path.
+    """
     name, colon, part_name = text.rpartition(":")
     if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):
         return None
@@ -610,13 +616,13 @@ def require_stable(record: dict[str, Any]) -> None:
 def export_rom(
     path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
 ) -> list[Path]:
-    """Write the subcircuit, symbols and a first deck of the reduced model at ``path``.
+    """Write the subcircuit, symbols and an example deck of the reduced model at ``path``.
 
     Raises
     ------
     UsageError : the file is not a reduced model, the model has no such subcircuit, or the dialect
-    cannot be written; also see :func:`kc2spice.workflow.decks.protect_other_decks`. Nothing is
-    written.
+    cannot represent the subcircuit; also see :func:`kc2spice.workflow.decks.protect_other_decks`.
+    Nothing is written.
     """
     if dialect not in dialect_names():
         raise unknown_dialect_error(dialect, dialect_names())

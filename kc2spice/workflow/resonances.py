@@ -1,7 +1,7 @@
 """Additional frequencies of small-signal analyses, at resonances, notches and probes.
 
-The input is a command and the laws of its scene. The output is further analyses about each
-resonance that the frequencies of the scene do not resolve. The resonances are the natural
+The input is an analysis command, and the laws of its scene. The output is further analyses around
+each resonance that the frequencies of the scene do not resolve. The resonances are the natural
 frequencies of the whole linear circuit, driver and load included;
 :mod:`kc2spice.reference.small_signal` states its equations.
 """
@@ -23,34 +23,36 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
 
-MAX_UNKNOWNS = 600  # eigenvalues of larger systems take seconds
-# Near a pole a response is R / (j w - p). With points a quarter of a half-width apart, the parabola
-# through 1/|y|^2 at three points gives the maximum of a single pole exactly; the neighbours of a
-# pole change this maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it).
-# Wider ranges follow, each WIDENING_FACTOR times as wide with the same number of points, up to the
-# distance of frequencies of the scene: the trapezoidal rule then integrates |y|^2 to 2 % (same
-# tests, by equipartition).
-NARROWEST_HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
-RANGE_POINTS = 33  # points of each range
+MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns take seconds
+# Near a pole p, a response is y = R / (j w - p). In the narrowest range, the spacing of points is a
+# quarter of the half-width of the resonance. The parabola through 1/|y|^2 at three points then
+# gives the maximum of a single pole exactly. Other poles change this maximum by less than 1e-4
+# (tests/spice/test_resonant_maxima.py). Each further range is WIDENING_FACTOR times as wide, with
+# the same number of points, until the spacing of the scene's frequencies is reached. The
+# trapezoidal rule then integrates |y|^2 with an error of at most 2 % (same tests, by
+# equipartition).
+# number of half-widths on each side of a resonance in the narrowest range
+NARROWEST_HALF_WIDTHS = 4.0
+RANGE_POINTS = 33  # number of points in each range
 WIDENING_FACTOR = 4.0
-# Each resonance takes a few analyses of 33 points, some 10 ms of the simulator.
+# Each resonance needs a few analyses of 33 points, which take the simulator about 10 ms.
 MAX_RESONANCES = 100
 
 
 def list_refinements(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
-    """Return further analyses near resonances and at positions of probes.
+    """Return analyses with closely spaced frequencies at resonances, and at frequencies of probes.
 
     ``command`` is the analysis of the scene.
 
-    A probe reads the response at a point of the analysis, because a straight line between two
-    points is not a response.
+    The frequencies that probes read become points of an analysis, because interpolation between two
+    points would cause an error.
 
     A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. A resonance is
-    resolved if the frequencies of the scene lie closer than a quarter of its half-width. Undamped
-    resonances have no largest response and get no further frequencies.
+    resolved if the frequencies of the scene lie closer than a quarter of its half-width. For
+    undamped resonances, whose response is infinite, no frequencies are added.
 
     A warning is printed if a part has no equations, such as a user's netlist. Only the poles of the
-    reduced models are then known.
+    reduced models are known in this case.
     """
     build = laws.build
     analysis = build.scene.analysis
@@ -72,7 +74,7 @@ def list_refinements(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
 
 
 def _probe_frequencies(build: Build) -> list[float]:
-    """Return frequencies [Hz] within the scene's range that probes read, in ascending order."""
+    """Return the frequencies [Hz] that probes read within the scene's range, in ascending order."""
     analysis, result = build.scene.analysis, set[float]()
     for probe in build.scene.probes.values():
         result.update(probe.places.values())
@@ -101,10 +103,10 @@ def _frequency_spacing(build: Build, f: float) -> float:
 
 
 def _narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
-    """Return frequency and half-width [Hz] of resonances and notches in rising order.
+    """Return frequency and half-width [Hz] of resonances and notches in ascending order.
 
-    The resonances are within the range of the scene. Only notches whose least value a probe reads
-    are resolved.
+    The frequencies are within the range of the scene. A notch is included only if a probe reads the
+    minimum of its response.
     """
     analysis = laws.build.scene.analysis
     poles = _find_poles_and_zeros(laws)
@@ -115,10 +117,10 @@ def _narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 
 
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
-    """Return the poles of the scene's circuits, and the zeros [1/s] of minima that probes read.
+    """Return the poles [1/s] of the scene's circuits, and the zeros at minima that probes read.
 
-    A circuit without equations contributes the poles of its reduced models. Warns if a circuit has
-    no equations, is too large, or has no operating point.
+    Of a circuit without equations, only the poles of the reduced models are returned. A warning is
+    printed if a circuit has no equations, is too large, or has no operating point.
     """
     scene, causes = laws.build.scene, [f"{name} has no equations" for name in laws.missing]
     of = {probe.of for probe in scene.probes.values() if probe.take == "min"}

@@ -35,7 +35,7 @@ from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 @dataclass(frozen=True)
 class CompletedRun:
-    """Completed simulation of a scene, with the simulator and the wall time [s] of each stage."""
+    """Completed run of a scene, with simulator version, and wall time [s] of each stage."""
 
     run: Run
     simulator: Simulator
@@ -112,10 +112,10 @@ def run_scene(
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the run.
     trust : bool, default False
-        Whether netlists that the scene includes may act on this machine.
+        Whether netlists that the scene includes may run commands and write files.
     deck : Path, optional
-        Netlist of this scene that was edited by hand. It is simulated instead of the deck of the
-        scene.
+        Netlist of this scene that was edited by hand. This deck is simulated instead of the deck of
+        the scene.
     keep : bool, default False
         Whether to keep the raw file and the log of the simulator.
     png : bool, default False
@@ -130,8 +130,8 @@ def run_scene(
     ------
     UsageError : ``deck`` does not save the vectors of the scene's metrics.
     MissingToolError : ngspice is missing, which is checked before finite elements are computed.
-    SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
-        beside it in ``<out>.failed`` until a run into ``out`` succeeds.
+    SimulationError : a stage failed. Nothing was written to ``out``. The deck and its log are kept
+    in ``<out>.failed`` until a run with the same ``out`` succeeds.
 
     Examples
     --------
@@ -166,13 +166,13 @@ def complete_run(
 ) -> CompletedRun:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
-    ``functions`` are the functions of controllers, by part. ``out`` is the directory of the result;
-    the files of a failed run are kept beside it.
+    ``functions`` are the Python functions of controllers, keyed by part. ``out`` is the directory
+    of the result. The files of a failed run are kept in ``<out>.failed``.
 
-    A key without a value, such as the number of contact rings, gets an automatic value. If this
-    value is too small, the scene runs again with a larger value, and a warning states it. The
-    scene also runs again with more states of a reduced body whose error under the recorded loads
-    is too large.
+    A key without a value in the scene, such as the number of contact rings, has an automatic value.
+    If this value is too small, the scene runs again with a larger value, and a warning states the
+    new value. The scene also runs again with more states of a reduced body whose error under the
+    recorded loads is too large.
 
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
@@ -199,7 +199,8 @@ def complete_run(
                 )
                 automatic |= suggested
                 scene = load_scene(scene, suggested)
-        if deck is None and scene.error_budget is None:  # the error budget refines orders itself
+        # the refinement for an error budget also changes orders
+        if deck is None and scene.error_budget is None:
             result = with_larger_orders(result, work, clock)
         converged = converge_to_budget(result, clock) if deck is None else None
         if converged is not None:

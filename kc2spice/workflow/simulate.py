@@ -43,10 +43,10 @@ FAILURE_FILE = "failure.json"
 
 @dataclass(frozen=True)
 class Run(Outcome):
-    """Result of the simulation of a scene: deck, waves, verdict, attempts and models.
+    """Simulation of a scene: models, deck, waves, verdict, attempts and metrics.
 
-    ``units`` are the SI units of metrics by dotted name, for metrics with a unit. The CPU seconds
-    of the simulator include all retries.
+    ``units`` are the SI units of metrics by dotted name, for metrics with a unit. ``cpu_s`` is the
+    CPU time [s] of the simulator including all retries.
     """
 
     build: Build
@@ -97,7 +97,7 @@ def simulate_deck(
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Run:
-    """Simulate a deck with the retries of its scene, and judge the result.
+    """Simulate a deck with the retries of its scene, and check the result.
 
     The checks come from the parts of the scene. If the wiring of an edited deck differs from the
     scene, a warning is printed.
@@ -111,7 +111,7 @@ def simulate_deck(
     directory : Path
         Existing directory for the files of the deck and of the simulator.
     progress : callable, optional
-        Called with the share of the transient that is done, between 0 and 1.
+        Called with the completed fraction of the transient, between 0 and 1.
     timeout : float, optional
         Largest wall-clock time of one attempt in s. By default there is no limit.
     retries : int, optional
@@ -125,7 +125,7 @@ def simulate_deck(
     Raises
     ------
     RetriesFailedError : the last attempt failed.
-    SimulationError : ngspice failed in a way that no setting cures.
+    SimulationError : ngspice failed, and other settings cannot prevent the failure.
     MissingToolError : no ngspice.
 
     Examples
@@ -158,7 +158,7 @@ def simulate_deck(
     laws = scene_laws(build)
     engine = choose_engine(laws, deck, directory, progress, timeout)
     point = find_operating_point(build, deck, laws)
-    write_files(deck.files, directory)  # written for every outcome
+    write_files(deck.files, directory)  # this file is written even if the simulation fails
     shared = bool(build.sampled_sources)
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
@@ -191,7 +191,7 @@ def simulate_deck(
 
 
 def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
-    """Return the waves with the results that parts correct after a run."""
+    """Return the waves, with corrections that parts apply to results after a run."""
     result = dict(waves.data)
     for part in build.scene.parts.values():
         result |= part.type.corrected_waves(part, build, waves)
@@ -217,9 +217,9 @@ def choose_engine(
 ) -> Engine:
     """Return the engine for a ``deck`` of the scene with these laws.
 
-    Small signals need further analyses near resonances, each in a separate run if the operating
-    point may depend on the previous analysis. If functions set sources of the scene while it runs,
-    ngspice runs as a library.
+    A small-signal analysis has further analyses near resonances. Each analysis is a separate run if
+    the operating point can depend on the previous analysis. If Python functions set sources during
+    the simulation, ngspice runs as a library.
     """
     if not laws.build.scene.analysis.is_small_signal:
         return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
@@ -234,8 +234,8 @@ def choose_engine(
 def simulator_cpu(*, shared: bool) -> float:
     """Return the CPU time [s] of all child processes that have ended.
 
-    If the simulator is a ``shared`` library, the result is the CPU time of this process. Systems
-    that do not record CPU time give the wall time.
+    If the simulator is a ``shared`` library, the result is the CPU time of this process. On systems
+    without CPU times of child processes, the result is the wall time.
     """
     try:
         import resource
@@ -258,7 +258,8 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     except SimulationError as error:
         violated = error.violated if isinstance(error, RetriesFailedError) else ()
         if folder is not None and not any(check.accepted for check in violated):
-            with contextlib.suppress(OSError):  # a full disk must not hide the first error
+            # an error of a full disk must not replace the error of the run
+            with contextlib.suppress(OSError):
                 shutil.rmtree(folder, ignore_errors=True)
                 shutil.copytree(work, folder)
                 _write_failure(error, folder, scene)

@@ -1,7 +1,7 @@
 """Heat networks for ``reduce``: of measured transients, and of models with one thermal port.
 
-In: a transient and the power of its step, or a reduced heat model. Out: the model of a network in
-Foster's or Cauer's form, whose deviation is in its certificate.
+The input is a transient with the power of its step, or a reduced heat model. The output is the
+model of a network in Foster's or Cauer's form, whose certificate contains the deviation.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
-# share of the resistance beyond the measured times above which a warning is printed
+# Fraction of the thermal resistance at times after the measurement, above which a warning is
+# printed.
 WARNED_UNSETTLED = 0.01
-# Deviation (rms) over noise above which a warning is printed. Drift and rounding of instruments
-# reach 1.1.
+# Ratio of rms deviation to noise above which a warning is printed. Drift and rounding of
+# instruments cause ratios of up to 1.1.
 WARNED_EXCESS = 1.5
-NEGLIGIBLE_MISFIT = 1e-3  # deviation (rms) that does not warn although the noise is smaller
-FEWEST_STEPS = 3.0  # change of the temperature over its noise below which there is no step
-ENDS = 20  # the first and the last 1/20 of the samples determine the direction
+# rms deviation up to which no warning is printed, even if the noise is smaller
+NEGLIGIBLE_MISFIT = 1e-3
+FEWEST_STEPS = 3.0  # ratio of temperature change to noise, below which the data contain no step
+ENDS = 20  # the direction is determined from the first and the last 1/20 of the samples
 
 
 @dataclass(frozen=True)
 class FittedTransient:
-    """Model of a transient, with its noise, notes and warnings for the user."""
+    """Model of a transient, with the noise of the data, and notes and warnings for the user."""
 
     model: LinearModel
     noise: float
@@ -81,12 +83,12 @@ def network_of_transient(
 ) -> FittedTransient:
     """Fit a network to a transient.
 
-    Deviations are relative to the largest rise of a temperature, and to each value of a positive
-    thermal impedance.
+    Deviations from a temperature are relative to its largest rise. Deviations from a positive
+    thermal impedance are relative to each value.
 
     Raises
     ------
-    UsageError : the temperature does not change beyond its noise, or Zth falls.
+    UsageError : the temperature changes by less than its noise, or Zth falls.
     GateMissedError : the deviation exceeds :data:`LARGEST_MISFIT`.
     """
     samples, norm, notes = _step_samples(data, power)
@@ -130,7 +132,7 @@ def network_of_transient(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a reduced heat model in the form of a network, or unchanged without a form.
+    """Return a reduced heat model as a network of the given form; without a form, unchanged.
 
     Raises
     ------
@@ -155,7 +157,7 @@ def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearMode
 
 
 def require_one_heat_port(model: LinearModel) -> None:
-    """Check that a model has one thermal port and no other.
+    """Check that a model has exactly one port, which is thermal.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def require_one_heat_port(model: LinearModel) -> None:
 def _step_samples(
     data: ThermalTransient, power: float | None
 ) -> tuple[StepSamples, Norm, tuple[str, ...]]:
-    """Return samples that rise by the power, the norm of their deviation, and notes."""
+    """Return samples of the temperature rise per watt, the norm of their deviation, and notes."""
     count = max(len(data.value) // ENDS, 1)
     change = float(data.value[-count:].mean() - data.value[:count].mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
@@ -217,7 +219,7 @@ def _largest_rise(samples: StepSamples, fit: TransientFit) -> float:
 
 
 def _certificate(samples: StepSamples, fit: TransientFit, size: float, norm: Norm) -> Certificate:
-    """Return the deviation of a network from its samples, over the band of their times."""
+    """Return a certificate with the deviation of a network from samples, over the band of times."""
     after = samples.time[samples.time > 0]
     deviation = np.abs(fit.residual) / size
     largest, network = int(np.argmax(deviation)), fit.network

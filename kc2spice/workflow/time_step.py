@@ -1,14 +1,14 @@
 """Largest time step of a transient, and the effect of its time steps on the result.
 
-The error control of ngspice keeps the error of each step below a tolerance. At a resonance the
-errors of thousands of steps add up. With steps ``h`` the trapezoidal rule reduces every natural
-frequency ``w`` by the ratio ``(w h)^2 / 12``, which detunes the drive. Gear's method adds damping.
-Both rules turn ``e^(r t)`` into another exponential. The numerical solution of a linear circuit and
-the largest step that keeps its error within :data:`RMS_ERROR_LIMIT` therefore follow in closed
-form.
+The error control of ngspice keeps the error of each step below a tolerance. At a resonance, the
+errors of thousands of steps add up. With steps ``h``, the trapezoidal rule reduces every natural
+frequency ``w`` by the fraction ``(w h)^2 / 12``, so that the drive frequency is no longer at the
+resonance. Gear's method adds damping. Both rules change the exponential ``e^(r t)`` into an
+exponential with another rate. The numerical solution of a linear circuit is therefore known in
+closed form, and so is the largest step whose error is within :data:`RMS_ERROR_LIMIT`.
 
-Motions with a Q factor below :data:`RESONANT_Q` do not limit the step at any speed, because the
-error control resolves them. Sums that cancel also do not limit the step.
+Natural modes with a Q factor below :data:`RESONANT_Q` do not limit the step, because the error
+control resolves them. Waves that are rounding errors of a sum also do not limit the step.
 """
 
 from __future__ import annotations
@@ -36,36 +36,39 @@ from kc2spice.scene.rows import StepLimit, Vector
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
-# largest errors of the rms of a wave and of the wave, relative to its largest value
+# Largest error of the rms of a wave, and of the wave itself, relative to the largest value.
 RMS_ERROR_LIMIT = 5e-4
 SHAPE_ERROR_LIMIT = 1e-3
-# largest numbers of time points for the limits of the shape and of the rms
+# Largest number of time points for the limit of the wave itself, and for the limit of the rms.
 MAX_SHAPE_POINTS = 2e5
 MAX_RMS_POINTS = 4e6
 EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
-# s, largest step in nonlinear circuits, in which error control resolves the changes
+# s, largest step in nonlinear circuits, in which error control resolves fast changes
 NONLINEAR_STEP = 10e-6
-APERIODIC_Q = 0.6  # a motion that does not oscillate has 0.5; with a margin for rounding
+# Q factor up to which a mode counts as aperiodic: 0.5, with a margin for rounding errors
+APERIODIC_Q = 0.6
 RESONANT_Q = 2.0  # Q factor above which the errors of steps accumulate
 SAMPLE_COUNT = 2500
 WINDOW_COUNT = 16
-MAX_COMPARED_POINTS = 30_000  # largest number of points at which a run is compared
-# smallest size of a compared wave, relative to the largest wave with its unit (ngspice does not
-# iterate smaller ones)
+# largest number of time points at which a run is compared with the exact solution
+MAX_COMPARED_POINTS = 30_000
+# Smallest size of a compared wave, relative to the largest wave with the same unit; ngspice does
+# not iterate smaller waves.
 MIN_RELATIVE_SIZE = 1e-5
 # smallest size of a compared wave, keyed by unit
 MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
-EVENT_MARGIN = 1e-9  # time around jumps that is not compared, relative to the duration of the run
+# time around jumps that is left out of comparisons, relative to the duration of the run
+EVENT_MARGIN = 1e-9
 FAILURE_LIMIT = 1e-2
-MAX_UNKNOWNS = 600  # larger circuits take minutes
+MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns takes minutes
 
 
 def choose_largest_step(build: Build) -> StepLimit:
     """Return the largest time step of a transient.
 
-    The result is ``solver.max_step`` if the scene sets this key. Otherwise the largest step is the
-    smallest step that a part or a resonance of a linear circuit requires.
+    The result is ``solver.max_step`` if the scene sets this key. Otherwise, the result is the
+    smallest of the steps that parts, and resonances of linear circuits, require.
     """
     scene = build.scene
     if scene.solver.max_step is not None:
@@ -88,10 +91,10 @@ def choose_largest_step(build: Build) -> StepLimit:
 
 
 def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
-    """Return whether a network conducts heat, and no motion of it at rest oscillates.
+    """Return whether a network conducts heat, and has no oscillating mode at rest.
 
     Heat has no inertia, and error control resolves its time constants. The losses of electrical
-    parts and the resistances of warm conductors follow the slow temperatures.
+    parts, and the resistances of warm conductors, change as slowly as the temperatures.
     """
     kinds = set(list_pin_kinds(network.laws).values())
     heat = any(DOMAINS[kind].is_relaxing for kind in kinds)
@@ -100,10 +103,10 @@ def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
 
 @dataclass(frozen=True)
 class LinearisedScene:
-    """Networks of a transient, linearised at rest, with the exact motion of each network.
+    """Networks of a transient, linearised at rest, with the exact solution of each network.
 
-    The choice of the largest step and the check of the steps after a run use the same record, which
-    computes eigenvalues when they are first needed.
+    The choice of the largest step, and the check of the steps after a run, use the same object,
+    which computes eigenvalues at their first use.
     """
 
     build: Build
@@ -114,7 +117,7 @@ class LinearisedScene:
 
     @property
     def resolved_by_error_control(self) -> bool:
-        """Whether no network can ring unnoticed: each is linear, or relaxes and gives off heat."""
+        """Whether error control resolves all networks: each is linear, or relaxes thermally."""
         for network, motion in zip(self.networks, self.motions, strict=True):
             if motion is None or not (motion.linear.exact or _only_relaxes(network, motion)):
                 return False
@@ -122,7 +125,7 @@ class LinearisedScene:
 
     @cached_property
     def _joined_networks(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
-        """Networks with unknowns, and names of the parts in no network."""
+        """Networks with unknowns, and names of the parts that are in no network."""
         try:
             laws = scene_laws(self.build)
             networks, missing = laws.networks, laws.missing
@@ -142,14 +145,14 @@ class LinearisedScene:
 
     @cached_property
     def motions(self) -> tuple[ExponentialSolution | None, ...]:
-        """Exact motion of each network; None if the network is too large or has no solution."""
+        """Exact solution of each network; None if the network is too large or has no solution."""
         return tuple(_solve_motion(network, self.build.scene.stop) for network in self.networks)
 
 
 def linearised_scene(build: Build) -> LinearisedScene:
-    """Return the linearised networks of a build, stored or new.
+    """Return the stored linearised networks of a build, or new networks.
 
-    If the keys or models of the stored networks differ, new networks are returned.
+    New networks are returned if the keys or models of the build have changed.
     """
     known = build.linearised
     if isinstance(known, LinearisedScene) and known.belongs_to(build):
@@ -163,7 +166,10 @@ def with_linearised_scene(build: Build) -> Build:
 
 
 def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
-    """Return the exact motion of a network from rest; None if too large or unsolvable."""
+    """Return the exact solution of a network from rest.
+
+    The result is None if the network is too large or has no solution.
+    """
     from kc2spice.reference.small_signal import LinearisedSystem
 
     # imported here, because the module loads scipy
@@ -181,7 +187,11 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 
 
 class Rule(NamedTuple):
-    """Integration rule: numerical solution of ``e^(r t)`` and of ``e^(j w t)`` in steps ``h``."""
+    """Integration rule with steps ``h``, by its effect on exponentials.
+
+    ``rates`` returns the rates of the numerical solutions of ``e^(r t)``. ``axis`` returns s in ``1
+    / (s - r)``, the numerical response to ``e^(j w t)``.
+    """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
     axis: Callable[[np.ndarray, float], np.ndarray]
@@ -200,10 +210,10 @@ INTEGRATION_RULES = {
 
 
 def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
-    """Find the largest step up to ``start`` with which ``rule`` is accurate.
+    """Return the largest step up to ``start`` with which ``rule`` is accurate.
 
-    The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the shape is at most
-    :data:`SHAPE_ERROR_LIMIT`, unless this requires :data:`MAX_SHAPE_POINTS` points or more.
+    The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the wave itself is at most
+    :data:`SHAPE_ERROR_LIMIT`, unless this limit requires :data:`MAX_SHAPE_POINTS` points or more.
     """
     peaks = motion.peaks()
     t = motion.samples(SAMPLE_COUNT)
@@ -220,7 +230,7 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
         """Return whether the rule is accurate with the step ``h``."""
 
         def discrete_rates(exact: np.ndarray) -> np.ndarray:
-            """Return the rates of the numerical solution."""
+            """Return the rates [1/s] of the numerical solution."""
             return np.where(resonant, rule.rates(exact, h), exact)
 
         tried = motion.at(t, outputs, discrete_rates, lambda jw: rule.axis(jw, h))
@@ -249,19 +259,20 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
 
 
 def _describe_resonance(rate: complex, quality: float) -> str:
-    """Describe the resonance of a natural mode."""
+    """Describe a natural mode by its frequency and its Q factor."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
     return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
 def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest errors of the rms in a window and of a value, over all waves (nt, waves).
+    """Return the largest error of the rms in a window, and of a value, over all waves (nt, waves).
 
-    The errors are relative to the largest rms of a wave in a window, and to its largest value.
+    The errors are relative to the largest rms of the wave in a window, and to the largest value of
+    the wave.
     """
     edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
-    share = np.gradient(t)[:, None]  # time [s] of each point; closely spaced points weigh less
+    share = np.gradient(t)[:, None]  # time interval [s] of each point, its weight in the rms
     length = np.maximum(np.add.reduceat(share, cuts, axis=0), 1e-300)
     mine = np.sqrt(np.add.reduceat(share * ours**2, cuts, axis=0) / length)
     true = np.sqrt(np.add.reduceat(share * exact**2, cuts, axis=0) / length)
@@ -280,9 +291,9 @@ def list_step_checks(
     """Check the effect of the time steps on the waves of a run.
 
     Waves of a linear circuit are compared with the exact motion of the circuit. This comparison is
-    left out if a contact sets the steps, because such steps do not resolve all ringing. In any
-    other circuit the outputs of each linear body are compared with its exact response to the
-    recorded loads. If a contact sets the steps, these checks only warn.
+    left out if a contact determines the steps, because such steps do not resolve all ringing. In
+    any other circuit the outputs of each linear body are compared with its exact response to the
+    recorded loads. If a contact determines the steps, these checks only warn.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
@@ -323,7 +334,7 @@ def _compare_exact_motion(
 
 
 def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
-    """Return the check of a deviation of a wave: the deviation of the rms and of a value."""
+    """Return the check of the deviation of a wave; ``largest`` are deviations of rms and value."""
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
     return Check(
@@ -332,7 +343,7 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
 
 
 def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
-    """Return whether a part without a law is joined to this network."""
+    """Return whether a part without equations is joined to this network."""
     parts, scene = set(map(law_of, network.names)), build.scene
     for name, pin in scene.nets:
         if name in parts and not set(missing).isdisjoint(dict(scene.joined(name, pin))):
@@ -343,10 +354,11 @@ def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[
 def _largest_deviation(
     network: Network, motion: ExponentialSolution, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
-    """Return the largest deviation of all waves, without those that are rounding errors."""
+    """Return the largest deviation of all waves, without waves that are rounding errors."""
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))
-    # instants at which currents jump, with points on either side; an edge may begin at the end
+    # instants at which currents jump, with points on both sides; an edge can begin at the end of
+    # the run
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]

@@ -11,16 +11,16 @@ from kc2spice.scene.checks import Balance, Check, Gate, Verdict
 from kc2spice.scene.model import Build
 from kc2spice.workflow.time_step import list_step_checks
 
-# relative change of the height of a flight for a relative change of the velocity
+# ratio of the relative change of a flight's height to the relative change of the launch velocity
 HEIGHT_PER_VELOCITY = 2.0
-# share of error_budget that an energy balance may miss, a tenth of the share of time steps
+# limit of an energy balance as a fraction of error_budget, a tenth of the fraction for time steps
 BALANCE_SHARE = 0.03
 
 
 def list_checks(waves: Waveforms, build: Build) -> Verdict:
     """Return the checks of the parts of a scene, except checks that the scene turns off.
 
-    A larger error_budget raises the limits of all energy balances by the same factor.
+    The limits of all energy balances are proportional to ``error_budget``.
     """
     scene = build.scene
     checks: list[Check] = []
@@ -59,11 +59,11 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
 
 
 def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
-    """Yield all checks, and a warning for each check that errors of reduced bodies may decide.
+    """Yield all checks, and a warning for each check whose outcome is undecided.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
-    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
-    smaller than this.
+    relative amount 2 e. An outcome is undecided if the motion is closer to its limit than this
+    change, which errors of reduced bodies can cause.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:

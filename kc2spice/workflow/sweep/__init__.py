@@ -1,4 +1,1 @@
-"""Sweeps.
-
-Many decks of one scene that share meshes, models and netlists, on any pool of workers.
-"""
+"""Sweeps: runs of one scene with other values, which share models, on any pool of workers."""

@@ -1,4 +1,4 @@
-"""Run of a sweep: check, shared models, points, results and table.
+"""Execution of a sweep: checks, shared models, points, results and table.
 
 Points run in processes of this machine or on a Dask scheduler's workers: both are a
 :class:`concurrent.futures.Executor`, and any other executor is accepted. The rows of the points are
@@ -75,7 +75,7 @@ LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=T
 
 @dataclass(frozen=True)
 class Sweep:
-    """Checked sweep: points, settings of the workers, and columns of the table.
+    """Checked sweep: points, settings for the workers, and columns of the table.
 
     ``scene`` is the scene of the first point, ``units`` are the units of the swept keys;
     ``metrics`` are the requested columns, empty for all.
@@ -89,7 +89,7 @@ class Sweep:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of all inputs that affect the results."""
+        """Return a hash of all inputs that affect the results."""
         files = {
             n: hashlib.sha256(data).hexdigest() for n, data in read_scene_files(self.scene).items()
         }
@@ -107,12 +107,12 @@ class Sweep:
 
     @property
     def runs(self) -> dict[str, int]:
-        """Numbers of decks and ngspice runs."""
+        """Return the numbers of decks and of ngspice runs."""
         keys = [key for key in self.plan.keys if not PARAMETER_KEY.fullmatch(key)]
         return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
-        """Return the numbers of decks and runs in one line."""
+        """Return the numbers of decks and runs as text of one line."""
         netlists, runs = self.runs.values()
         return f"{self.plan.size} points: {netlists} netlists, {runs} ngspice runs"
 
@@ -127,7 +127,7 @@ def make_sweep(
     metrics: Sequence[str] = (),
     timeout: float | None = None,
 ) -> Sweep:
-    """Check ``KEY=RANGE`` texts as far as possible without building a model.
+    """Make a sweep of ``KEY=RANGE`` texts, checked as far as possible without a model.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def make_sweep(
             constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
         else:
             fixed.append(text)
-    # A range may create a part that the scene lacks without this range.
+    # A swept key can create a part that the scene does not contain otherwise.
     keys = list_scene_keys(scene.load((*fixed, *firsts)))
     plan = make_plan(
         {name: parse_range(name, value, keys) for name, value in ranges.items()},
@@ -165,7 +165,7 @@ def make_sweep(
 def sweep_of_plan(
     job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()
 ) -> Sweep:
-    """Return the sweep of ``plan``.
+    """Return the sweep over the points of ``plan``.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def sweep_of_plan(
 
 
 class _Study(BaseModel):
-    """A sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
+    """Sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -197,14 +197,15 @@ def studies() -> dict[str, Traversable]:
 
 
 def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
-    """Return the sweep of a scene, or of a study with further ``sets`` and options ``asked``.
+    """Return the sweep of a scene or of a study, with further ranges ``sets``.
 
-    A range in ``sets`` replaces the study's of the same key; ``asked`` are options of
-    :func:`make_sweep`.
+    A range in ``sets`` replaces the study's range of the same key. ``asked`` are options of
+    :func:`make_sweep`, which replace options of the study.
 
     Raises
     ------
-    UsageError : as :func:`make_sweep`; neither a scene nor a study, or a study with a mistake.
+    UsageError : as :func:`make_sweep`; ``name`` is neither a scene nor a study; or the study
+    contains a mistake.
     """
     study = _find_study(name)
     if study is None:
@@ -222,13 +223,16 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
 
 
 def _find_study(name: str) -> _Study | None:
-    """Return the study ``name``, built in or a file with a key ``scene``; None for a scene."""
+    """Return the study ``name``: a built-in study, or a file with a key ``scene``.
+
+    The result is None for a scene.
+    """
     builtin = studies().get(name)
     try:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_TEXT_BYTES)
         content = parse_toml(decode_text(data))
     except (OSError, ValueError):
-        return None  # the loader of scenes reports the mistake
+        return None  # the scene loader reports the mistake
     if not isinstance(content.get("scene"), str):
         return None
     try:
@@ -247,11 +251,12 @@ def _find_study(name: str) -> _Study | None:
 def run_points(
     definition: Sweep, points: Iterable[int], workers: Workers
 ) -> Iterator[tuple[int, PointResult]]:
-    """Run ``points`` and yield each point with its outcome when it ends.
+    """Run ``points``, and yield each point with its outcome as soon as the point ends.
 
-    The first worker that needs a model builds it into the cache; all other workers wait for this
-    entry. A point that is interrupted, by the death of a worker or another fault of the machine, is
-    run once more after all others. A point fails if it ends its worker again.
+    The first worker that needs a model builds the model and stores it in the cache; all other
+    workers wait for this entry. A point that was interrupted, by a lost worker or another fault of
+    the machine, runs once more after all other points. If its worker is lost again, the point
+    fails.
 
     Raises
     ------
@@ -280,9 +285,10 @@ def run_points(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Yield outcomes of ``points`` as they end; only as many points run as there are workers.
+    """Yield outcomes of ``points`` as they end; each worker runs one point at a time.
 
-    If a worker ends, all running points become ``LOST_POINT``, and the workers are started again.
+    If a worker process ends, the outcome of all running points is ``LOST_POINT``, and the workers
+    are started again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:
@@ -336,8 +342,8 @@ def run_sweep(
     """Run all points of a sweep that are not finished, and write its table.
 
     Each finished row is written to ``out/rows.sqlite``. The table, its figures and ``sweep.html``
-    appear after the last row. The same call continues a sweep that was interrupted. A repeated
-    command runs points again that failed because of the machine.
+    appear after the last row. The same call continues an interrupted sweep, and repeats points that
+    failed because of the machine.
 
     Parameters
     ----------
@@ -346,8 +352,8 @@ def run_sweep(
     out : Path
         Directory for the files of the sweep.
     workers : callable
-        Function without arguments that returns a context manager. The manager yields an executor
-        and the number of points to run at a time. See :func:`local_workers` and
+        Function without arguments that returns a context manager. The context manager yields an
+        executor and the number of points to run at a time. See :func:`local_workers` and
         :func:`dask_workers`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` after each point.
@@ -393,7 +399,7 @@ def run_sweep(
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
             text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
-            if count > 1:  # the first point may have built models for all others
+            if count > 1:  # the first point may have built models that all other points use
                 rate = (count - 1) / max(time.monotonic() - begin, 1e-9)
                 left = timedelta(seconds=round((len(missing) - count) / rate))
                 text = f"{text}, {rate:.3g}/s, {left} left"

@@ -1,7 +1,7 @@
-"""Points of a sweep: ranges of keys that are crossed, varied together or sampled randomly.
+"""Points of a sweep: all combinations of ranges, ranges that vary together, or random samples.
 
 A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
-``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or carry a unit. Any other
+``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or have a unit. Any other
 text is a single value.
 """
 
@@ -22,7 +22,7 @@ from kc2spice.scene.keys import Key
 from kc2spice.scene.overrides import parse_override_value
 
 MAX_POINTS = 10_000_000
-# PART.NAME of a subcircuit parameter, which is not a scene key
+# Pattern of PART.NAME, a subcircuit parameter that is not a key of the scene.
 PARAMETER_KEY = re.compile(r"param\.(\w+\.\w+)")
 _ZERO_NUMBER = re.compile(r"[+-]?(0+\.?0*|\.0+)([eE][-+]?\d+)?(?![\d.])")
 RANGE_GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
@@ -33,7 +33,10 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class RandomSample:
-    """Random sample of ``n`` values of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
+    """Range of ``n`` random values of a key:
+
+    ``normal(a, b)`` or ``uniform(a, b)``.
+    """
 
     kind: str
     a: float
@@ -65,14 +68,14 @@ def _make_zero_crossing_error(text: str) -> UsageError:
 
 
 def split_range(text: str) -> tuple[str, list[str]]:
-    """Return the kind of a range and its words.
+    """Return the kind of a range, and its fields as texts.
 
     The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
-    word is a possible value of the key.
+    field is a possible value of the key.
 
     Raises
     ------
-    UsageError : a range with more or fewer than three words.
+    UsageError : the range needs three fields, and has more or fewer.
     """
     if text[:1] in ('"', "'"):
         return "value", [text]
@@ -122,13 +125,13 @@ def _split_words(text: str, separator: str) -> list[str]:
 
 
 def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
-    """Return unit, range and type of a key, list entry, table or subcircuit parameter."""
+    """Return unit, limits and type of a key, list entry, table or subcircuit parameter."""
     plain = Key(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
 def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | RandomSample:
-    """Return the values of the range ``text`` of the key ``name``.
+    """Return the values of the range ``text`` for the key ``name``.
 
     Raises
     ------
@@ -202,7 +205,7 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
 
 
 def parse_value(text: str, unit: str, where: str) -> float:
-    """Return the value of ``text`` in the SI unit ``unit``, which plain numbers have."""
+    """Return the value of ``text`` in the SI ``unit``, which is also the unit of plain numbers."""
     try:
         return quantity(float(text), unit, where=where)
     except ValueError:
@@ -216,8 +219,8 @@ def parse_value(text: str, unit: str, where: str) -> float:
 class Plan:
     """Swept ``keys`` in the order of the user, and all points.
 
-    All combinations of the ``blocks`` are points; the last block varies fastest. The keys of one
-    block vary together. ``random`` are the keys with random samples.
+    The points are all combinations of the ``blocks``; the last block varies fastest. The keys of
+    one block vary together. ``random`` are the keys with random samples.
     """
 
     keys: tuple[str, ...]
@@ -245,8 +248,8 @@ class Plan:
     def ends(self) -> list[dict[str, Any]]:
         """Return the first point, and points that differ from it in one block.
 
-        In these points, a number of the block has its least or largest value, or a word occurs for
-        the first time.
+        In these points, a number of the block has its smallest or largest value, or a text value
+        occurs for the first time.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
@@ -259,7 +262,7 @@ class Plan:
         return list(map(self.values, dict.fromkeys(indices)))
 
     def count_distinct(self, keys: Sequence[str]) -> int:
-        """Return the number of combinations of values of the ``keys`` in all points."""
+        """Return the number of different combinations of values of ``keys`` in all points."""
         count = 1
         for block in self.blocks:
             values = [map(repr, block[key]) for key in block if key in keys]
@@ -274,15 +277,15 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> Plan:
-    """Combine the ranges and the random samples, or vary all keys together.
+    """Make the points of all combinations, or with ``zipped`` vary all keys together.
 
-    A sample contains a value of every random key, so that these keys form one block. With
-    ``latin`` each of n equally likely intervals of a key contains one value (McKay, Beckman,
+    A random sample contains a value of every random key, so that these keys form one block. With
+    ``latin``, each of n equally likely intervals of a key contains one value (McKay, Beckman,
     Conover 1979).
 
     Raises
     ------
-    UsageError : nothing to sweep, unequal lengths, too many points.
+    UsageError : there is no range, ranges have different lengths, or there are too many points.
     """
     if not ranges:
         raise UsageError(
@@ -323,11 +326,11 @@ def make_plan(
 
 
 def _common_length(lengths: Mapping[str, int], where: str) -> int:
-    """Return the length that all keys have.
+    """Return the number of values that all keys have.
 
     Raises
     ------
-    UsageError : keys with different lengths.
+    UsageError : keys have different numbers of values.
     """
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{key}: {length}" for key, length in lengths.items())

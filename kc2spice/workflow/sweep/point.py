@@ -42,9 +42,10 @@ from kc2spice.workflow.models import replace_parts, value_units
 from kc2spice.workflow.simulate import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
-_SIGNAL_EXIT = re.compile(r"exit code -\d+")  # the simulator was ended by a signal
-_MIN_FREE_BYTES = 5_000_000  # bytes that a run needs on the temporary disk
-_CACHED_DECKS = 8  # decks and scenes that a worker stores at a time
+# pattern of the error if a signal ended the simulator
+_SIGNAL_EXIT = re.compile(r"exit code -\d+")
+_MIN_FREE_BYTES = 5_000_000  # free bytes that a run needs in the temporary directory
+_CACHED_DECKS = 8  # number of decks and scenes that a worker keeps in memory
 MAX_FILE_BYTES = 64_000_000  # bytes
 Number = float | bool | None
 
@@ -54,7 +55,7 @@ Number = float | bool | None
 
 @dataclass(frozen=True)
 class SceneText:
-    """Gallery name, or a name with the TOML text and the contents of the scene's files."""
+    """Name of a built-in scene, or a name with the TOML text and the files of a scene."""
 
     name: str
     text: str | None
@@ -67,14 +68,14 @@ class SceneText:
         home = Path(_unpack_files(self).name)
         try:
             return load_scene(home / f"{self.name}.toml", overrides)
-        except UsageError as error:  # the text of a row must not depend on the machine
+        except UsageError as error:  # the text of a row must not contain paths of a machine
             error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
             raise
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _unpack_files(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
-    """Return a directory that contains the files of ``scene`` until this process ends."""
+    """Write the files of ``scene`` to a directory that exists until this process ends."""
     directory = tempfile.TemporaryDirectory(prefix="kc2spice-scene-")
     for name, content in ((f"{scene.name}.toml", (scene.text or "").encode()), *scene.files):
         path = Path(directory.name) / name
@@ -99,7 +100,7 @@ def read_scene_text(name_or_path: str) -> SceneText:
 
 
 def read_scene_files(scene: Scene) -> dict[str, bytes]:
-    """Return the files that the scene reads, by name; netlists with expanded includes.
+    """Return the files that the scene reads, by name; includes in netlists are expanded.
 
     Raises
     ------
@@ -132,8 +133,9 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
 class Job:
     """Settings that all points of a sweep have in common.
 
-    ``fixed`` are overrides of the scene, and ``parameters`` overrides of subcircuits; ``timeout``
-    [s] limits one ngspice run. The scenes of points in one process share ``workspace``.
+    ``fixed`` are overrides of scene keys, and ``parameters`` are overrides of subcircuit
+    parameters. ``timeout`` [s] limits one ngspice run. The scenes of points in one process share
+    ``workspace``.
     """
 
     scene: SceneText | Scene
@@ -156,9 +158,9 @@ class Job:
 class PointResult:
     """Results of one run of a sweep, or a one-line reason for its failure.
 
-    ``metrics`` are keyed by name, ``facts`` (all other numbers of ``result.json``) by dotted path.
-    ``units`` are their SI units. If ``interrupted``, the machine caused the failure, and another
-    attempt may succeed.
+    ``metrics`` are keyed by name. ``facts`` are all other numbers of ``result.json``, keyed by
+    dotted path. ``units`` are the SI units of both. If ``interrupted``, the machine caused the
+    failure, and another attempt can succeed.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
@@ -169,20 +171,20 @@ class PointResult:
 
 
 def _override_texts(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return ``key=value`` texts of the scene's keys, without parameters of subcircuits."""
+    """Return the texts ``key=value`` of scene keys, without parameters of subcircuits."""
     return tuple(
         f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER_KEY.fullmatch(k)
     )
 
 
 def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
-    """Return ``("PART.NAME", value)`` of the subcircuit parameters of a point."""
+    """Return pairs ``("PART.NAME", value)`` of the subcircuit parameters of a point."""
     result = ((PARAMETER_KEY.fullmatch(key), value) for key, value in values.items())
     return tuple((name[1], float(value)) for name, value in result if name)
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
-    """Run one point; a failure becomes the outcome of the point and does not end the sweep.
+    """Run one point; a failure is returned as the outcome of the point and does not end the sweep.
 
     Raises
     ------
@@ -214,9 +216,9 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
 def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
     """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
 
-    A part whose key has the name and the value of a parameter receives the new value. A part
-    without a key of this name no longer describes the deck. This part has neither checks nor an
-    energy balance.
+    If a key of a part has the name and the value of the parameter, the key receives the new value.
+    Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
+    an energy balance.
     """
     known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
@@ -239,23 +241,24 @@ def _disk_is_full() -> bool:
         return True
 
 
-_lock = threading.Lock()  # threads of one worker must not build the same model at the same time
+# prevents threads of one worker from building the same model at the same time
+_lock = threading.Lock()
 
 
 def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
-    """Return models and deck of a point; points with other subcircuit parameters share both."""
+    """Return models and deck of a point; points that differ in subcircuit parameters share both."""
     with _lock:
         return _build_testbench(replace(job, fixed=(*job.fixed, *_override_texts(values))))
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: Job) -> tuple[Build, Deck]:
-    """Return models and deck of a job."""
+    """Return models and deck for the values of a job without swept keys."""
     return prepare_deck(job.load({}), Clock())
 
 
 def _metric_numbers(run: Run) -> PointResult:
-    """Return the numbers of a run."""
+    """Return the metrics of a run that are single numbers."""
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.facts
     units = {f"model.{part}": value_units(row) for part, row in facts["model"].items()}

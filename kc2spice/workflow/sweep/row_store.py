@@ -1,4 +1,4 @@
-"""Rows of a sweep: their store in a database, and their table as a CSV or Parquet file."""
+"""Rows of a sweep: storage in a database, and output as a CSV or Parquet table."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
 
 class RowStore:
-    """Results of the points in an SQLite file, in which each row is complete or missing.
+    """Results of the points in an SQLite file; each row is complete or missing.
 
     ``digest`` is the digest of the sweep; ``failed`` are the points that have no numbers.
 
@@ -143,9 +143,9 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 def columns(
     outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """Return the table: swept keys, ``metrics`` (by default all of the runs), ``status``.
+    """Return the table of swept keys, ``metrics`` and ``status``.
 
-    A point without a number has None in this column.
+    By default, ``metrics`` are all metrics of the runs. A missing number is None.
     """
     rows = sorted(outcomes.items())
     names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
@@ -161,9 +161,9 @@ def columns(
 
 
 def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write floats with all their digits, ``true`` and ``false``, and nothing for None.
+    """Write a table as CSV: floats with all digits, ``true`` and ``false``, and nothing for None.
 
-    Text that a spreadsheet would evaluate as a formula begins with an apostrophe.
+    An apostrophe is added before text that a spreadsheet would evaluate as a formula.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -180,7 +180,7 @@ def _csv_cell(value: Any) -> str | None:
 
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write the table as Parquet; its numbers keep their type."""
+    """Write a table as Parquet, in which numbers have their type."""
     arrow = import_optional("pyarrow", "--format")
     parquet = import_optional("pyarrow.parquet", "--format")
 

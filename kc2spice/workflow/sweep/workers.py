@@ -18,10 +18,10 @@ from typing import Any
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import import_optional
 
-# Function that opens an executor, also after the loss of an earlier executor, and yields it with
-# the number of workers.
+# Function whose context manager opens an executor, and yields the executor with the number of
+# workers. The function is called again if an executor is lost.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
-RECONNECT_TIME = 60.0  # s, time limit for a lost scheduler to reconnect
+RECONNECT_TIME = 60.0  # s, time limit for the reconnection to a lost scheduler
 # Names of exceptions for lost workers and schedulers, so that Dask need not be imported.
 _LOST_EXCEPTIONS = {
     "KilledWorker",
@@ -52,7 +52,7 @@ def is_lost_worker(error: BaseException) -> bool:
 
 
 def local_workers(count: int) -> Workers:
-    """Return the workers: ``count`` processes of this machine."""
+    """Return a function that opens ``count`` worker processes on this machine."""
     from multiprocessing import get_context
 
     @contextmanager
@@ -71,14 +71,14 @@ def local_workers(count: int) -> Workers:
 
 
 def _end_orphaned_simulators(scratch: Path) -> None:
-    """Kill ngspice processes of killed workers, which would still write to ``scratch``."""
+    """Kill ngspice processes whose workers were killed, because they still write to ``scratch``."""
     for mark in scratch.glob("*" + _GROUP_SUFFIX):
         with suppress(ProcessLookupError, PermissionError):  # the process group has already ended
             os.killpg(int(mark.stem), signal.SIGKILL)
 
 
 def _initialise_worker(scratch: str) -> None:
-    """Ignore Ctrl-C; if the parent is killed, end ngspice and delete files."""
+    """Initialise a worker: ignore Ctrl-C, and end with ngspice if the parent process is killed."""
     from multiprocessing import connection, parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -89,11 +89,11 @@ def _initialise_worker(scratch: str) -> None:
         Path(scratch, f"{os.getpid()}{_GROUP_SUFFIX}").touch()
 
     def watch_parent() -> None:
-        """Wait for the end of the parent, then end this worker."""
+        """Wait for the end of the parent process, then end this worker."""
         if parent is None:
             return
         connection.wait([parent.sentinel])
-        # another process deletes the files after all processes that might write them have ended
+        # Another process deletes the files after the end of all processes that might write files.
         if group:
             clean = 'kill -9 "-$0"; sleep 0.1; rm -rf -- "$1"'
             words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
@@ -105,17 +105,17 @@ def _initialise_worker(scratch: str) -> None:
 
 
 def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
-    """Return the workers of a Dask scheduler, or ``count`` on this machine for ``local``.
+    """Return a function that opens the workers of a Dask scheduler.
 
-    A scheduler must answer first within ``patience`` seconds, and after a connection loss within a
-    minute.
+    For the address ``local``, it starts ``count`` workers on this machine. A scheduler must first
+    answer within ``patience`` seconds, and after a loss of the connection within a minute.
     """
     limits = chain([patience], repeat(RECONNECT_TIME))
 
     @contextmanager
     def open_executor() -> Iterator[tuple[Executor, int]]:
         distributed = import_optional("distributed", "--dask")
-        # Dask would print tracebacks although the scheduler reconnects
+        # Dask would print tracebacks even if it can reconnect to the scheduler.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         limit, target = next(limits), address
         with ExitStack() as stack:

@@ -1,1 +1,1 @@
-"""Comparison of full models, equations with reduced models, and ngspice on the netlist."""
+"""Comparison of three solutions: full models, equations with reduced models, and ngspice."""

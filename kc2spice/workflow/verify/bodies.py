@@ -1,4 +1,4 @@
-"""Verification of single bodies: reduced against full model, subcircuit against reduced model."""
+"""Verification of bodies: reduced model against full model, subcircuit against reduced model."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ from kc2spice.synthesis.emitted import accelerates_frame, reaction_mass
 from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.realize import apply_unit_load
 
-# frequencies at which a large full model is solved: for a sample, and with --full
+# Numbers of frequencies at which a large full model is solved: by default, and with --full.
 SAMPLE_FREQUENCIES = 3
 FULL_FREQUENCIES = 40
-MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which a full model is solved at all frequencies
-NETLIST_FREQUENCIES = 120  # frequencies at which the netlist is simulated
-# accepted difference, as a multiple of the effect of the leaks of electrical ports
+# number of unknowns up to which a full model is solved at all frequencies
+MAX_DIRECT_UNKNOWNS = 3000
+NETLIST_FREQUENCIES = 120  # number of frequencies at which the netlist is simulated
+# Largest accepted difference, as a multiple of the effect of the leaks of electrical ports.
 MAX_LEAK_RATIO = 2.0
 SOLVER_ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
@@ -56,7 +57,7 @@ def verify_body(
 ) -> None:
     """Add both comparisons of a body to ``findings``.
 
-    ``libraries`` are the subcircuits to test, from a shipped deck or from this run. The
+    ``libraries`` are the tested subcircuits, from an exported deck or from this run. The
     limit of the reduced model is the error estimate of its certificate, which is within the
     tolerance.
     """
@@ -91,7 +92,8 @@ def verify_body(
     findings.checks += list_rom_checks(part.name, rom, band)
     frequency, answer = simulate_netlist_response(part, build, libraries, clock, work, band)
     gate = build.scene.gates.harmonic_ngspice
-    if given:  # the header states the error of the circuit where its distant ports stay cold
+    # For distant ports, whose temperatures are small, the header of the library states the error.
+    if given:
         stated = [item.reduction.circuit_error for item in libraries if item.reduction]
         gate = max([gate, *stated])
     checks = list_netlist_checks(part.name, rom, frequency, answer, gate, given)
@@ -113,10 +115,10 @@ def list_netlist_checks(
 ) -> list[Check]:
     """Return checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
 
-    The response is compared with the response of the reduced model: all ports together, and
-    separately the capacitance and the charge of each electrical port for each load, relative to
-    their own sizes. ``gate`` is the largest error. Other checks are passivity and reciprocity. The
-    temperatures of the ports ``given`` are given.
+    The response is compared with the response of the reduced model for all ports together. The
+    capacitance, and the charge of each electrical port for each load, are compared separately,
+    relative to their own sizes. ``gate`` is the largest error. Other checks are passivity and
+    reciprocity. The ports ``given`` have prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.paired]
@@ -137,7 +139,8 @@ def list_netlist_checks(
             Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
-        # a leak carries away charge that a load separates, but a voltage at a leak causes no force
+        # Charge that a load separates flows off through a leak, but a voltage across a leak causes
+        # no force.
         limit = max(NETLIST_ROUNDING, leaked)
         checks += list_structure_checks(
             f"{name}: netlist", frequency, emitted, limit, rates=not is_heat_model(rom)
@@ -146,9 +149,10 @@ def list_netlist_checks(
 
 
 def solve_reduced(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return the response of a reduced model, of heat by one linear system for each frequency.
+    """Return the response of a reduced model; of a heat model, by solving a linear system.
 
-    Sums of modes have larger rounding errors where distant ports stay cold.
+    For distant ports, whose temperatures are small, a sum of modes would have larger rounding
+    errors than the solution of a linear system for each frequency.
     """
     if not is_heat_model(rom):
         return rom.transfer(frequency)
@@ -163,12 +167,10 @@ def compare_responses(
 ) -> float:
     """Return the largest relative error of a response (frequencies, outputs, inputs).
 
-    Responses H of heat flows to temperatures decay exponentially between distant ports. If the
-    temperatures of ports c are ``given``, those of the other ports s are compared by
-
-        T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c,
-
-    the first term relative to its entries, and the second one relative to T_c. The heat flow of
+    The responses H from heat flows to temperatures decay exponentially between distant ports. If
+    the temperatures of ports c are ``given``, the temperatures of the other ports s are compared by
+    T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c, where the error of the first term is
+    relative to its entries, and the error of the second term is relative to T_c. The heat flow of
     prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored`` (frequencies,)
     [W/K], the heat flow that changes the temperature of the whole body. The certificate states the
     error of the inner temperatures relative to that heat flow.
@@ -190,7 +192,7 @@ def _stored_heat(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
 def _prescribe_temperatures(
     H: np.ndarray, given: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the responses of other ports to heat and to temperatures, and ``H_cc^-1``."""
+    """Return responses of other ports to heat and to given temperatures, and ``H_cc^-1``."""
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
     shares = H[:, others][:, :, given] @ admittance
@@ -208,15 +210,16 @@ def leakage_share(frequency: np.ndarray) -> float:
 def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
     """Check stability, passivity and reciprocity of the reduced model.
 
-    Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
+    For a general model, the growth rate ``Re p`` is relative to ``max(|p|, w)``, where ``w`` is the
+    end of the band.
     """
     modal = resonators(rom)
     if modal is not None:
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
     else:
-        # An unsupported body has poles at zero, which rounding shifts; its matrices show that they
-        # do not grow.
+        # An unsupported body has poles at zero, which rounding errors shift; its matrices show that
+        # no mode grows.
         rightmost, limit = 0.0, SOLVER_ROUNDING
         if prove_stability(rom.pencil.dense(), band).proof != "definite matrices":
             poles = rom.poles()
@@ -235,13 +238,12 @@ def list_structure_checks(
 ) -> list[Check]:
     """Check that ``Re (s H)`` is positive semi-definite and that ``H`` is symmetric.
 
-    Heat models have no ``rates``: their ``Re H`` is checked.
-
-    ``s H`` maps forces and voltages to velocities and currents, and H heat flows to temperatures; a
-    network is passive if its Hermitian part has no negative eigenvalue at any frequency, relative
-    to the largest entry of the balanced response. Reciprocity is checked for each pair of ports,
-    relative to the response between these ports. Heat models count relative to the balanced
-    response, because their responses between distant ports decay exponentially.
+    Heat models have no ``rates``: ``Re H`` is checked instead. ``s H`` maps forces and voltages to
+    velocities and currents, and H maps heat flows to temperatures. A network is passive if the
+    Hermitian part of this matrix has no negative eigenvalue at any frequency. Eigenvalues are
+    relative to the largest entry of the balanced response. Reciprocity is checked for each pair of
+    ports, relative to the response between these ports. For heat models, it is relative to the
+    balanced response, because responses between distant ports decay exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
@@ -266,8 +268,8 @@ def simulate_netlist_response(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the response of the subcircuit in ngspice in SI units at its frequencies [Hz].
 
-    One copy of the subcircuit per port, all in one ``.ac`` deck: voltage sources drive electrical
-    and acceleration pins, mechanical pins are free except for the unit load.
+    One ``.ac`` deck contains a copy of the subcircuit for each port. Voltage sources drive
+    electrical pins and acceleration pins. Mechanical pins are free, except for the unit load.
 
     Raises
     ------
@@ -296,7 +298,7 @@ def _make_response_deck(
 ) -> Deck:
     """Return a deck with a copy of the subcircuit for each port."""
     library_name = build.libraries[part.name]
-    # the names of a deck's subcircuits end with the hash of their text
+    # The names of a deck's subcircuits end with the hash of their text.
     shape = re.compile(rf"{re.escape(library_name)}(_[0-9a-f]+)?", re.IGNORECASE)
     library = next((item for item in libraries if shape.fullmatch(item.name)), None)
     if library is None:
@@ -324,7 +326,7 @@ def _make_response_deck(
 
 
 def _solve_full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
-    """Return the response of the full model; scenes that share the body share its cache."""
+    """Return the response of the full model; scenes with the same body share a cache entry."""
     assert isinstance(part.type, LinearBody)
     key = part.type.model_key(part, build.scene)
     depends = {
@@ -350,17 +352,17 @@ def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
     result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
-    # four digits, so that models that differ only in ports share their samples
+    # Four digits, so that models that differ only in ports have the same sample frequencies.
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """Select frequencies: half where the response is largest, half spread over all."""
+    """Select frequencies: one half where the response is largest, one half spread over all."""
     if at.size <= count:
         return at
     size = np.abs(rom.transfer(at))
     top = size.max(axis=0)
-    # a response that is zero everywhere
+    # the response is zero at all frequencies
     peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = at[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]

@@ -19,16 +19,18 @@ from kc2spice.scene.model import Build
 from kc2spice.scene.results import collect_powers
 from kc2spice.workflow.simulate import correct_waves
 
-MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value
-REST_MOTION = 1e-9  # largest motion at rest due to rounding errors, relative to the size
-ZERO_CURRENT = 1e-150  # currents below are rounding errors of zero; the square underflows
-# smallest reference of a metric error, relative to the largest wave with its unit
+# smallest reference of a relative error, as a fraction of the largest value
+MIN_REFERENCE_SHARE = 1e-6
+# largest motion at rest due to rounding errors, as a fraction of the body's size
+REST_MOTION = 1e-9
+ZERO_CURRENT = 1e-150  # smaller currents are rounding errors of zero, whose square underflows
+# Smallest reference of a metric error, as a fraction of the largest wave with the same unit.
 MIN_METRIC_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Waves of one solution path with their metrics and units."""
+    """Waves of one solution, with metrics and units."""
 
     waves: Waveforms
     metrics: Mapping[str, Any]
@@ -60,6 +62,8 @@ def list_gate_checks(
 ) -> tuple[list[Check], float | None]:
     """Return a check for each gate of a pair of solutions, and the largest leading difference.
 
+    A gate is a pass limit; a leading gate determines the figure of the pair in the report.
+
     ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
     gate applies to the metric of its part.
     """
@@ -81,8 +85,9 @@ def list_gate_checks(
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """Return the difference that a gate limits.
 
-    Solutions may lack the value, such as the launch velocity of a body that is not launched. If
-    both lack it, the result is None; if one solution lacks it, the result is nan.
+    A solution can lack the value, such as the launch velocity of a body that is not launched. If
+    both solutions lack the value, the result is None. If one solution lacks the value, the result
+    is nan.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
@@ -96,7 +101,7 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
 
 
 def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]) -> float:
-    """Return the difference of the waves ``names`` by the measure of a gate."""
+    """Return the difference of the waves ``names`` between two solutions, defined by a gate."""
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
     for name in names:
@@ -104,7 +109,7 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
         pairs.append((a[early], b[early]))
     if gate.measure == "relative":
         return max(starmap(_relative_difference, pairs))
-    # points by waves
+    # arrays (points, waves)
     ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
     if gate.measure == "spectral":
         # imported here, because scipy loads slowly and every run imports this module
@@ -117,12 +122,12 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
     size = float(np.abs(true).max())
     if gate.measure == "travel":
         size = max(REST_MOTION * size, float(np.ptp(true, axis=0).max()))
-    # with a zero reference, any difference is infinite
+    # relative to a reference of zero, any difference is infinite
     return largest / size if size else math.inf if largest else 0.0
 
 
 def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference relative to the size of the same value of ``b``."""
+    """Return the largest difference of values, each relative to the magnitude in ``b``."""
     size = np.abs(b)
     loaded = size > MIN_REFERENCE_SHARE * size.max()
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
@@ -133,7 +138,7 @@ def align_wave(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return common points of two solutions, and one wave of both at these points.
 
-    The points come from the coarser solution, within the common times.
+    The points are the points of the coarser solution, within the times that both solutions contain.
     """
     if "time" not in waves:
         return np.arange(float(waves[name].size)), waves[name], exact[name]
@@ -146,7 +151,8 @@ def align_wave(
 def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
     """Interpolate a wave at ``times``.
 
-    A displacement with a known velocity is interpolated by cubics, any other wave linearly.
+    A displacement with a known velocity is interpolated by cubic polynomials, and any other wave
+    linearly.
     """
     t, unique = np.unique(waves["time"], return_index=True)
     stem, _, last = name.rpartition(".")
@@ -162,7 +168,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
     """Return the error of every wave that both solutions contain.
 
     The result excludes waves that are zero within rounding errors. The rms is an integral over
-    time, because a mean over points would overrate the closely spaced points at a contact.
+    time, because a mean over points would overweight the closely spaced points at a contact.
     """
     result = []
     scale = next(iter(exact.data))
@@ -203,8 +209,9 @@ def metric_errors(
 ) -> Iterator[tuple[str, float | None]]:
     """Yield the relative error of each metric that both solutions contain.
 
-    The reference is the size of the exact metric, or ``MIN_METRIC_SHARE`` of the largest wave of
-    its unit if that is larger. If both are zero, the error is the absolute difference.
+    The reference is the larger of two values: the magnitude of the exact metric, and
+    ``MIN_METRIC_SHARE`` times the largest wave with the same unit. If both values are zero, the
+    error is the absolute difference.
     """
     for name, b in exact.metrics.items():
         if name not in ours.metrics or isinstance(b, bool):
@@ -228,7 +235,7 @@ def metric_errors(
 def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
     """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
 
-    The result is 0 without a unit, because no wave is comparable with a number such as a coupling
+    Without a unit, the result is 0, because no wave is comparable with a number such as a coupling
     factor.
     """
     if not unit:

@@ -29,13 +29,14 @@ from kc2spice.workflow.verify.full_transient import (
 )
 from kc2spice.workflow.verify.law_solution import Reference, solve_steady
 
-MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which every frequency is solved directly
+MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is solved directly
 
 
 def with_full_models(build: Build, clock: Clock) -> Build | None:
     """Return ``build`` with full instead of reduced models; None if no part has a full model.
 
-    In a transient only bodies have full models, which the integrator solves at their ports.
+    In a transient, only bodies have full models, whose equations the integrator solves at the
+    ports.
     """
     timed = build.scene.analysis.type == "transient"
     result = {}
@@ -64,12 +65,12 @@ def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build
 
 
 def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
-    """Return a build with other models."""
+    """Return a build in which ``models`` replace the models of parts."""
     return with_laws(replace(build, models={**build.models, **models}))
 
 
 def _sparse_full_model(model: LinearModel) -> LinearModel:
-    """Return a full model with sparse matrices; equations describe it at its ports."""
+    """Return a full model with sparse matrices, so that its law has equations only at its ports."""
     if not model.pencil.is_dense:
         return model
     from scipy import sparse
@@ -89,10 +90,10 @@ def solve_full_models(
 ) -> FullSolution | None:
     """Solve the scene with its full models; None if no network contains a full model.
 
-    ``ours`` are the waves of ngspice, the values of sources on ``replayed`` nets. ``exact`` is the
-    solution with the reduced models. ``thorough`` allows
-    :data:`kc2spice.workflow.verify.full_transient.FULL_STEP_FACTOR` times as many steps, at most to
-    the end, and replaces no full model by a surrogate.
+    ``ours`` are the waves of ngspice, which prescribe the values of sources on ``replayed`` nets.
+    ``exact`` is the solution with the reduced models. With ``thorough``,
+    :data:`kc2spice.workflow.verify.full_transient.FULL_STEP_FACTOR` times as many steps are
+    allowed, and no full model is replaced by a surrogate.
 
     Raises
     ------
@@ -106,7 +107,8 @@ def solve_full_models(
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
             for body in chain.from_iterable(map(port_bodies_of, networks)):
-                if body.model.order > MAX_DIRECT_UNKNOWNS:  # a surrogate is not accurate enough
+                # a surrogate would not be accurate enough
+                if body.model.order > MAX_DIRECT_UNKNOWNS:
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.time_stage("full model", words):
             return FullSolution(solve_steady(networks, full, ours))
@@ -121,9 +123,9 @@ def solve_full_models(
 
 
 def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list[Network]:
-    """Replace large full models by small surrogates with checked error.
+    """Replace large full models by small surrogate models with a checked error.
 
-    All copies of a body have one surrogate.
+    All copies of a body have the same surrogate.
     """
     bodies: dict[int, PortBody] = {}
 

@@ -1,9 +1,9 @@
 """Transient analysis with full models, as a correction of the solution with reduced models.
 
-One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. Their
-difference is added to the exact solution with the reduced models: both models have the same error
-of the time steps, which cancels except for a share of their difference. A solution with steps
-twice as long measures this share.
+One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. The
+difference of both results is added to the exact solution with the reduced models. Both models have
+nearly the same error due to the time steps, which cancels in the difference, except for a share of
+the difference. A solution with steps twice as long measures this share.
 """
 
 from __future__ import annotations
@@ -27,15 +27,17 @@ from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import choose_verified_band
 from kc2spice.workflow.verify.law_solution import Reference
 
-# time steps per period of the highest frequency in the band of a reduced model
+# Number of time steps per period of the highest frequency in the band of a reduced model.
 STEPS_PER_PERIOD = 80
-MAX_STEPS_PER_PERIOD = 800  # time steps per period of a resonance in a short scene
+MAX_STEPS_PER_PERIOD = 800  # number of time steps per period of a resonance in a short scene
 MAX_WORK = 1e7  # largest product of unknowns and time steps of a full model
-MAX_STEPS = 4000  # largest number of time steps; in small models, other parts take most of the time
-FULL_STEP_FACTOR = 100.0  # factor of the largest number of steps with --full
-# Largest motion of a port of a body at rest, relative to its range of motion. The second value
-# holds if a small motion, such as the ripple of a pulse-width modulated force, precedes the load:
-# both models neglect this motion, so that the error of their difference is of second order.
+# largest number of time steps; with small models, other parts take most of the time
+MAX_STEPS = 4000
+FULL_STEP_FACTOR = 100.0  # factor on the largest number of steps with --full
+# Largest motion of a body's port that counts as rest, relative to the range of motion. The second
+# value holds if a small motion precedes the load, such as the ripple of a pulse-width modulated
+# force. Both models neglect this motion, so that the error of their difference is the product of
+# two small quantities.
 REST_MOTIONS = (1e-9, 1e-3)
 
 
@@ -43,7 +45,7 @@ REST_MOTIONS = (1e-9, 1e-3)
 class FullSolution:
     """Waves of the full models over ``[0, end]``, at the times of the reduced models.
 
-    ``coarse`` are the waves of steps twice as long. ``end`` is the duration compared [s]; None
+    ``coarse`` are the waves with steps twice as long. ``end`` is the duration compared [s]; None
     without a transient.
     """
 
@@ -56,7 +58,7 @@ class FullSolution:
 def add_differences(exact: Reference, differences: Sequence[Difference], end: float) -> Waveforms:
     """Add the ``differences`` of full models to the solution with reduced models.
 
-    The result has no points around events that the steps do not resolve.
+    Points around events that the steps do not resolve are left out.
     """
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
@@ -72,11 +74,10 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """Results of a network with full models minus the results with reduced models, for equal
-    steps.
+    """Results of a network with full models minus the results with reduced models.
 
-    ``apart`` (nt,) is true if the devices of both models are in different modes. ``events`` [s]
-    are the events of the solution with the reduced models.
+    Both have equal time steps. ``apart`` (nt,) is true if a device has different modes with the two
+    models. ``events`` [s] are the events of the solution with the reduced models.
     """
 
     time: np.ndarray
@@ -87,8 +88,8 @@ class Difference:
     def has_equal_modes(self, time: np.ndarray) -> np.ndarray:
         """Return whether both models are in the same mode at each ``time``.
 
-        The result is false within the step of an event, and beside a step at whose end only one
-        model has changed its mode.
+        The result is false within the step that contains an event. It is also false next to a step
+        at whose end only one model has changed its mode.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1
@@ -104,14 +105,14 @@ class Difference:
 
 
 def port_bodies_of(network: Network) -> list[PortBody]:
-    """Bodies of a network that, like full models, are described by laws at their ports."""
+    """Return the bodies of a network whose laws have equations only at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
 def solve_full_differences(
     network: Network, build: Build, exact: Reference, clock: Clock, thorough: bool
 ) -> tuple[Difference, Difference, str]:
-    """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
+    """Solve a network with full and with reduced models, with steps ``h`` and ``2 h``.
 
     Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
     text that describes the steps.
@@ -173,11 +174,11 @@ def solve_full_differences(
 def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """Return the last time [s] before the load of a body changes, and the state.
+    """Return the last time [s] before the load of a body changes, and the state at this time.
 
     Before this time, the full and the reduced models agree. The time is 0 and the state None if a
-    load changes at once, or if no load changes. Within ``span`` [s] of this time, a load reaches
-    half of its range, if possible.
+    load changes at once, or if no load changes. If possible, the time is so late that a load
+    reaches half of its range within ``span`` [s].
     """
     waves, time = run.waves, run.time
     names = list(chain.from_iterable(map(_port_wave_names, bodies)))
@@ -216,9 +217,9 @@ def _port_wave_names(body: PortBody) -> list[str]:
 def _reconstruct_state(
     system: System, z: np.ndarray, t: float, wave: Callable[[str], float]
 ) -> np.ndarray:
-    """Return the unknowns that reproduce the waves at ``t``.
+    """Return the unknowns of a system that reproduce the waves at the time ``t``.
 
-    Unknowns that the waves do not determine stay as near as possible to ``z``.
+    Unknowns that the waves do not determine are as near as possible to ``z``.
     """
     algebraic = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
     recorded = np.array([not name.endswith(".through") for name in system.names]) & algebraic

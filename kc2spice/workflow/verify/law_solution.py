@@ -23,8 +23,8 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
 
-# relative tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its
-# energy
+# Relative tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its
+# energy.
 INTEGRATOR_RTOL = 1.5e-9
 
 
@@ -32,9 +32,9 @@ INTEGRATOR_RTOL = 1.5e-9
 class Reference:
     """Solution of a scene with reduced models from its equations.
 
-    ``results`` are those waves of ngspice that the laws determine too. ``imbalance`` is the error
-    of the energy balance, relative to the turned-over energy; None except for a transient.
-    ``runs`` are the integrated networks.
+    ``results`` are the waves of the ngspice results that the laws also determine. ``imbalance`` is
+    the error of the energy balance, relative to the turned-over energy; None except for a
+    transient. ``runs`` are the integrated networks.
     """
 
     results: Waveforms
@@ -50,13 +50,13 @@ def solve_laws(
 ) -> Reference:
     """Solve the laws of a scene at the points of ``waves``, the results of ngspice.
 
-    Sources on the nets ``replayed`` (:func:`kc2spice.equations.replay.find_replayed_nets`) have the
-    values of ngspice on these nets.
+    On the nets ``replayed`` (:func:`kc2spice.equations.replay.find_replayed_nets`), sources
+    prescribe the values of ngspice.
 
     Raises
     ------
-    UsageError : the laws are incompatible.
-    SimulationError : there is no equilibrium, or a law is outside of its range.
+    UsageError : the laws contradict each other. SimulationError : there is no equilibrium, or a law
+    is outside its valid range.
     """
     networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":

@@ -1,7 +1,7 @@
 """Verification of scenes by independent solutions.
 
-:func:`verify_scenes` compares the solutions of each scene by the gates of its parts, their metrics
-and their waves. The verification writes one record and one page for all scenes.
+:func:`verify_scenes` compares metrics and waves of the solutions of each scene, also with the gates
+(pass limits) of its parts. One record and one page are written for all scenes.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ from kc2spice.workflow.verify.full_models import (
 )
 from kc2spice.workflow.verify.law_solution import solve_laws
 
-# unknowns of a mesh with half the element size, which takes seconds and little memory
+# Largest number of unknowns of a mesh with half the element size, which needs seconds and little
+# memory.
 MAX_FINER_UNKNOWNS = 30_000
-# time limit of a finer discretisation: multiple of the run's time, plus seconds
+# Time limit for a finer discretisation: a multiple of the run's CPU time, plus some seconds.
 TIME_FACTOR = 5.0
 EXTRA_SECONDS = 30.0
 
@@ -68,9 +69,11 @@ MAX_WAVE_ERROR = 0.05  # largest error for any reltol, relative to the rms value
 # default error limits of analyses without time steps
 STEADY_METRIC_LIMIT = 5e-9
 STEADY_WAVE_LIMIT = 3e-8
-NOISE_LIMIT = 1e-6  # default error limit of noise: Boltzmann's constant has seven digits in ngspice
-# A source that replays samples of ngspice has an error of about 1e-3 in its slope, which is the
-# current into a capacitance (2.5e-3 at the edges of a half-bridge). Its work is off by 5e-6.
+# default error limit of noise, because Boltzmann's constant has seven digits in ngspice
+NOISE_LIMIT = 1e-6
+# A source that replays samples of ngspice has an error of about 1e-3 in its derivative, and
+# therefore in the current into a capacitance (2.5e-3 at the edges of a half-bridge). The work of
+# the source has an error of 5e-6.
 REPLAY_LIMIT_FACTOR = 5.0
 REPLAY_BALANCE_LIMIT = 1e-5
 
@@ -92,15 +95,15 @@ def verify_scenes(
     deck : an exported deck of the single scene, verified instead of a new one.
     trust : let the deck and included netlists act on the machine.
 
-    Returns ``passed``, and in ``scenes`` the record of each scene by its name. A missed gate is in
-    these records and raises no exception.
+    Returns a mapping with ``passed``, and with ``scenes``, the record of each scene by its name. A
+    missed gate is reported in these records, and raises no exception.
 
     Raises
     ------
     UsageError : a ``deck`` for several scenes, a deck without the subcircuits of the scene, or as
         :func:`kc2spice.workflow.decks.prepare_deck`.
-    MissingToolError : no ngspice; noticed before any FE is computed.
-    SimulationError : a solution path ended without a result.
+    MissingToolError : no ngspice; raised before finite elements are computed. SimulationError : one
+    of the solutions ended without a result.
     """
     if deck is not None and len(scenes) != 1:
         raise UsageError(
@@ -148,7 +151,7 @@ def _included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
     """Return ``scene`` with the ports of its bodies in the ``libraries``.
 
-    An export keeps all ports that a body declares, including unconnected ports.
+    The library of an export has all declared ports of a body, including unconnected ports.
     """
     exported = resolve(replace(scene, ports="declared"))
     known = set(map(_pin_names, map(attrgetter("pins"), libraries)))
@@ -176,7 +179,7 @@ class _Verification:
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
-    # parts that are solved with a finer discretisation
+    # Parts that are also solved with a finer discretisation.
     finer: set[str] = field(default_factory=set)
 
     @property
@@ -185,7 +188,7 @@ class _Verification:
         return self.build.scene.analysis.type == "transient"
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
-        """Verify the bodies by their ``libraries``, then the scene, then its full models."""
+        """Return the findings for bodies with ``libraries``, for the scene, and for full models."""
         result, build = self.outcome, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
@@ -227,7 +230,7 @@ class _Verification:
         return result
 
     def _explain_missing_law(self, name: str) -> str:
-        """Return the name of a part without equations, and the reason if it is stated."""
+        """Return the name of a part without equations, and the reason if the part states one."""
         reason = scene_laws(self.build).reasons[name]
         return f"{name} ({reason})" if reason else name
 
@@ -288,8 +291,9 @@ class _Verification:
     def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
-        """Compare the laws with laws of a finer discretisation, for parts with an error limit of
-        the discretisation.
+        """Compare the solution of the laws with a solution for finer discretisations.
+
+        Only parts with an error limit of the discretisation have a finer discretisation.
 
         The integration takes at most ``seconds`` [s], unless the verification is thorough.
         """
@@ -320,15 +324,16 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        # Laws against laws. ngspice is compared with the laws by the rms of each wave, because
-        # its voltage jumps one time step earlier or later, which dominates a largest difference.
+        # Two solutions of laws are compared here. ngspice is compared with the laws by the rms of
+        # each wave, because a voltage of ngspice jumps one time step earlier or later, which would
+        # dominate the largest difference.
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
             0
         ]
 
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
-        """Return the error limits; in a transient without the limits of discretisations.
+        """Return the error limits; in a transient, without the error limits of discretisations.
 
         In a transient, error limits of discretisations apply to the comparison with a finer
         discretisation only.
@@ -337,7 +342,7 @@ class _Verification:
         return [item for item in gates if not (self.timed and item[1].discretisation)]
 
     def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
-        """Compare each solution with the last one: gates, errors of all waves, and figures."""
+        """Compare each solution with the last solution: gates, errors of all waves, and figures."""
         last = list(solutions)[-1]
         outputs: list[OutputError] = []
         for pair in fnmatch.filter(SOLUTION_PAIRS, f"*_vs_{last}"):
@@ -356,7 +361,7 @@ class _Verification:
         return outputs
 
     def _general_limits(self) -> tuple[float, float]:
-        """Return the largest relative errors of metrics and of waves, ngspice to the laws."""
+        """Return the largest accepted relative errors of metrics and waves of ngspice."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.timed:
             metric, wave = (
@@ -373,7 +378,7 @@ class _Verification:
     def _general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
     ) -> Iterator[Check]:
-        """Check the worst metric and the worst wave of ngspice against the laws."""
+        """Add the checks of the metric and the wave of ngspice with the largest errors."""
         metric, wave = self._general_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
@@ -395,7 +400,7 @@ class _Verification:
     def _rings_coarsely(self, output: OutputError) -> bool:
         """Return whether large time steps may distort a wave after a launch.
 
-        ``solver.ringing`` permits this in the waves of a body and of its drive.
+        ``solver.ringing = "coarse"`` permits this for the waves of a body and of its drive.
         """
         scene, owner = self.build.scene, output.output.partition(".")[0]
         if scene.solver.ringing != "coarse":
@@ -416,8 +421,8 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        These are the checks that can fail a run, and the checks of jumps. In a transient, checks
-        of a discretisation are also added if no finer solution replaces them.
+        These are the checks that can fail a run, and the checks of jumps. In a transient, a check
+        of a discretisation is also added if no finer solution was computed.
         """
         unsolved = []
         for check in self.verdict.checks:
@@ -435,7 +440,7 @@ class _Verification:
             )
 
     def _compare_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
-        """Compare the effect of steps twice as long with each gate."""
+        """Compare the effect of time steps that are twice as long with each gate."""
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
         for limit in list_gate_checks(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
@@ -449,7 +454,7 @@ class _Verification:
             )
 
     def _summarise_errors(self) -> None:
-        """Add the error of the reduction and the size of a single body to the metrics."""
+        """Add the error of the reduction to the metrics, and the model size of a single body."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
@@ -466,12 +471,12 @@ def _max_unknowns() -> float:
     Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
     """
     share = MEMORY_SHARE * available_bytes() / factor_bytes(1.0, 3)
-    # the memory is proportional to the number of unknowns to the power 4/3
+    # memory is proportional to (number of unknowns)^(4/3)
     return min(MAX_MESH_UNKNOWNS, share**0.75)
 
 
 class _IntegrationTimeoutError(Exception):
-    """An integration exceeded its time limit; ``share`` is the completed fraction."""
+    """Error of an integration beyond its time limit; ``share`` is the completed fraction."""
 
     def __init__(self, share: float) -> None:
         super().__init__(share)
@@ -481,7 +486,7 @@ class _IntegrationTimeoutError(Exception):
 def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
     """Return ``progress`` with a time limit.
 
-    A call after ``seconds`` raises an error that ends the integration.
+    A call after ``seconds`` [s] raises an error, which ends the integration.
     """
     begin = time.monotonic()
 
