@@ -1,13 +1,14 @@
 """Error and CPU time of a scene for various numerical settings, and a recommendation.
 
-The axes are the settings of :mod:`kc2spice.scene.numerical_settings`. The scene runs unchanged,
-with each single axis changed, and with all axes finer. The search then follows the axes to the
-cheapest settings within the error limit, and within the error of the unchanged scene.
+The scene runs unchanged, with each single numerical setting
+(:mod:`kc2spice.scene.numerical_settings`) changed, and with all settings finer. The search then
+changes one setting at a time to find the fastest settings within the error limit, and within the
+error of the unchanged scene.
 
-Errors are relative to a reference run with every axis at its finest value. A second, coarser run
-shows how well the reference has converged. A key that the scene sets to its finest value, such as
-a ``reltol`` of 1e-7, has no finer run. The change by a coarser value is then part of every error.
-The unchanged scene also has the error estimate of an ``error_budget``.
+Errors are relative to a reference run, in which every setting has its finest value. A second,
+coarser run shows how well the reference has converged. If the scene sets a key to its finest value,
+such as a ``reltol`` of 1e-7, there is no finer run. The change by a coarser value is then part of
+every error. The unchanged scene also has the same error estimate as with an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
@@ -46,30 +47,30 @@ from kc2spice.scene.numerical_settings import (
 )
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
-from kc2spice.workflow.refine import Runs, metric_changes
+from kc2spice.workflow.refine import RefinedRuns, metric_changes
 from kc2spice.workflow.simulate import Run
 
 DEFAULT_ERROR_LIMIT = 1e-4
-# refinement steps of each axis, coarse to fine
-REFINEMENT_NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
-# notches of the run that checks the reference, and of the reference
-CHECK_NOTCHES = 1.5
-REFERENCE_NOTCHES = 2.0
+# Refinement steps of each numerical setting, from coarse to fine.
+REFINEMENT_STEPS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
+# Refinement steps of all settings in the run that checks the reference, and in the reference.
+CHECK_STEPS = 1.5
+REFERENCE_STEPS = 2.0
 MAX_POINTS = 80
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
-# CPU time relative to the scene's settings; slower settings are timed only once
+# Ratio of CPU times to the unchanged scene, above which settings are timed only once.
 SLOW_TIME_RATIO = 5.0
 EQUAL_TIME_RATIO = 1.05  # ratio of CPU times that count as equal in the choice between two errors
 
-Place = tuple[float, ...]  # setting, as the notches of each axis
+Combination = tuple[float, ...]  # refinement steps of each numerical setting
 Errors = dict[str, float]  # error of each metric
 
 
 @dataclass
-class _TimedSetting:
-    """Setting with its run, the errors of the metrics, and the CPU time [s] of each run."""
+class _TimedRun:
+    """Combination of settings with its run, errors of the metrics, and CPU time [s] of each run."""
 
-    place: Place
+    combination: Combination
     settings: dict[str, Any]
     run: Run
     errors: Errors
@@ -85,46 +86,47 @@ class _TimedSetting:
         """Median of the CPU times [s]."""
         return statistics.median(self.times)
 
-    def dominates(self, other: _TimedSetting) -> bool:
-        """Return whether this point is better in error or time, and worse in neither."""
+    def dominates(self, other: _TimedRun) -> bool:
+        """Return whether this combination is better in error or time, and worse in neither."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 
 
-class _Plane:
-    """All runs of a scene, keyed by the labels of their settings.
+class _SettingSearch:
+    """Search over combinations of numerical settings, with all runs of the scene.
 
-    ``names`` are the metrics whose error counts.
+    The runs are keyed by the labels of their settings. ``names`` are the metrics whose error
+    counts.
     """
 
     def __init__(self, run: Run) -> None:
         finer, finest = find_numerical_settings(run.build), find_finest_settings(run.build)
-        # a finer mesh takes no time in the simulator
-        self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
-        self.finest = [axis.name for axis in finest if not axis.model]
-        self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
-        self.points: dict[str, _TimedSetting] = {}
+        # A finer mesh does not change the time of the simulator.
+        self.varied_settings = list(filterfalse(attrgetter("model"), (*finer, *finest)))
+        self.finest = [setting.name for setting in finest if not setting.model]
+        self.runs = RefinedRuns(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
+        self.points: dict[str, _TimedRun] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
-        self.known: dict[tuple[str, float], Errors] = {}
-        if not self.axes:
+        self.errors_by_setting: dict[tuple[str, float], Errors] = {}
+        if not self.varied_settings:
             where = f"bench {run.build.scene.name}"
             raise UsageError("this scene has no numerical setting to vary", where=where)
 
-    def notches(self, place: Place) -> dict[str, float]:
-        """Notches of each axis, keyed by its name."""
-        return dict(zip(map(attrgetter("name"), self.axes), place, strict=True))
+    def steps_by_setting(self, combination: Combination) -> dict[str, float]:
+        """Return the refinement steps of a combination, keyed by the name of the setting."""
+        return dict(zip(map(attrgetter("name"), self.varied_settings), combination, strict=True))
 
-    def run_all_at(self, notch: float) -> Run:
-        """Return the run with every axis at the same notch."""
-        return self.runs.run_at(self.notches((notch,) * len(self.axes)))
+    def run_all_at(self, steps: float) -> Run:
+        """Return the run in which every setting is refined by the same number of ``steps``."""
+        return self.runs.run_at(self.steps_by_setting((steps,) * len(self.varied_settings)))
 
     @cached_property
     def unrefined_errors(self) -> Errors:
-        """Error of each metric due to settings that have their finest value in all runs."""
+        """Error of each metric by settings that have their finest value in all runs."""
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
-    def estimate(self) -> dict[str, Any] | None:
+    def estimate_error(self) -> dict[str, Any] | None:
         """Return the error estimate of the unchanged scene, with its meshes and tables."""
         result = refine.estimate_errors(self.runs, {})
         if result is None:
@@ -132,67 +134,78 @@ class _Plane:
         errors = {name: error for name, error in result.errors.items() if name in self.names}
         return {"error": max(errors.values(), default=0.0), "errors": errors}
 
-    def run_setting(self, place: Place) -> None:
-        """Run a setting, unless it has run before."""
-        settings = refine_settings(self.axes, self.notches(place))
+    def run_setting(self, combination: Combination) -> None:
+        """Run a combination of settings, unless it has already run."""
+        settings = refine_settings(self.varied_settings, self.steps_by_setting(combination))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
         try:
-            run = self.runs.run_at(self.notches(place))
-            errors = run_errors(run, self.run_all_at(REFERENCE_NOTCHES), self.names)
+            run = self.runs.run_at(self.steps_by_setting(combination))
+            errors = run_errors(run, self.run_all_at(REFERENCE_STEPS), self.names)
             errors = {name: error + self.unrefined_errors[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
         else:
-            self.points[label] = _TimedSetting(place, settings, run, errors, [run.cpu_s])
+            self.points[label] = _TimedRun(combination, settings, run, errors, [run.cpu_s])
 
-    def axis_errors(self, axis: NumericalSetting, notch: float) -> Errors:
-        """Return the errors that one value of an axis causes while all others are unchanged.
+    def setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
+        """Return the errors that one value of a setting causes if all others are unchanged.
 
-        A value has at least the errors of every finer value.
+        The errors of a value are at least the errors of every finer value.
         """
-        if (axis.name, notch) not in self.known:
-            finer = REFINEMENT_NOTCHES[bisect_right(REFINEMENT_NOTCHES, notch) :]
-            result = self.axis_errors(axis, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
+        if (setting.name, steps) not in self.errors_by_setting:
+            finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]
+            result = (
+                self.setting_errors(setting, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
+            )
             change = dict.fromkeys(self.names, np.inf)
-            if (point := self.points.get(_describe_settings(axis.refined_keys(notch)))) is not None:
-                reference = self.runs.run_at({axis.name: REFERENCE_NOTCHES})
+            if (
+                point := self.points.get(_describe_settings(setting.refined_keys(steps)))
+            ) is not None:
+                reference = self.runs.run_at({setting.name: REFERENCE_STEPS})
                 change = run_errors(point.run, reference, self.names)
-            self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
-        return self.known[axis.name, notch]
+            self.errors_by_setting[setting.name, steps] = {
+                n: max(result[n], change[n]) for n in self.names
+            }
+        return self.errors_by_setting[setting.name, steps]
 
-    def error_bound(self, point: _TimedSetting) -> float:
-        """Return the largest sum of the errors that each value of a setting causes alone."""
-        errors = [*map(self.axis_errors, self.axes, point.place), self.unrefined_errors]
+    def error_bound(self, point: _TimedRun) -> float:
+        """Return the error bound of a combination: the sum of the errors of its single values.
+
+        The result is the largest sum of all metrics.
+        """
+        errors = [
+            *map(self.setting_errors, self.varied_settings, point.combination),
+            self.unrefined_errors,
+        ]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
-    def safe_error(self, point: _TimedSetting) -> float:
-        """Return the error of a setting, or its bound if errors of its values cancel."""
+    def safe_error(self, point: _TimedRun) -> float:
+        """Return the larger of the error and the error bound of a combination."""
         return max(point.error, self.error_bound(point))
 
-    def find_cheapest(self, limit: float) -> _TimedSetting | None:
-        """Return the fastest setting within ``limit``; among equally fast settings, the most
-        accurate."""
+    def find_cheapest(self, limit: float) -> _TimedRun | None:
+        """Return the fastest combination within ``limit``, the most accurate of several."""
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
         fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
         return min(fastest, key=self.safe_error, default=None)
 
-    def search(self, limit: float, progress: Progress) -> None:
-        """Run settings with one changed axis, then search the cheapest settings within two limits.
+    def run_combinations(self, limit: float, progress: Progress) -> None:
+        """Run combinations with one changed setting, then search the fastest combinations.
 
-        The limits are ``limit`` and the error of the unchanged scene.
+        The search is made within ``limit``, and within the error of the unchanged scene.
         """
-        origin = (0.0,) * len(self.axes)
-        star = [origin]
-        for axis in range(len(origin)):
-            star += map(partial(_with_notch, origin, axis), REFINEMENT_NOTCHES)
-        star += [(n,) * len(origin) for n in REFINEMENT_NOTCHES if n > 0]
-        for done, place in enumerate(star):
-            progress("settings", done / len(star), f"{done} of {len(star)}")
-            self.run_setting(place)
+        origin = (0.0,) * len(self.varied_settings)
+        combinations = [origin]
+        for number in range(len(origin)):
+            combinations += map(partial(_with_steps, origin, number), REFINEMENT_STEPS)
+        combinations += [(n,) * len(origin) for n in REFINEMENT_STEPS if n > 0]
+        for done, combination in enumerate(combinations):
+            progress("settings", done / len(combinations), f"{done} of {len(combinations)}")
+            self.run_setting(combination)
             if failed := self.failed.get(_describe_settings({})):
                 raise SimulationError(
                     "the run with the settings of the scene differs from the reference run",
@@ -203,24 +216,26 @@ class _Plane:
             self._search_neighbours(bound, progress)
 
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
-        """Run the coarser neighbours of the cheapest setting until no cheaper one is found.
+        """Run coarser neighbours of the fastest combination until no faster combination is found.
 
-        If no setting is within ``limit``, run the finer neighbours of the most accurate one.
+        If no combination is within ``limit``, run finer neighbours of the most accurate one.
         """
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MAX_POINTS:
             known = count
             start = self.find_cheapest(limit)
-            step = 1 if start is None else -1
+            direction = 1 if start is None else -1
             start = start or min(self.points.values(), key=self.safe_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
-            for k, notch in enumerate(start.place):
-                neighbour = REFINEMENT_NOTCHES.index(notch) + step
-                if 0 <= neighbour < len(REFINEMENT_NOTCHES):
-                    self.run_setting(_with_notch(start.place, k, REFINEMENT_NOTCHES[neighbour]))
+            for number, steps in enumerate(start.combination):
+                neighbour = REFINEMENT_STEPS.index(steps) + direction
+                if 0 <= neighbour < len(REFINEMENT_STEPS):
+                    self.run_setting(
+                        _with_steps(start.combination, number, REFINEMENT_STEPS[neighbour])
+                    )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Repeat the runs of all settings except slow ones, in rounds."""
+        """Repeat the runs of all combinations except slow ones, in rounds."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].time
         repeated = [point for point in self.points.values() if point.time <= longest]
         for turn in range(1, repeats):
@@ -228,8 +243,8 @@ class _Plane:
             for point in repeated:
                 point.times.append(refine.repeat_timing(point.run))
 
-    def record(self, point: _TimedSetting) -> dict[str, Any]:
-        """Return the row of a setting in ``bench.json``."""
+    def record(self, point: _TimedRun) -> dict[str, Any]:
+        """Return the row of a combination of settings in ``bench.json``."""
         return {
             "label": _describe_settings(point.settings),
             "settings": point.settings,
@@ -245,9 +260,9 @@ class _Plane:
         }
 
 
-def _with_notch(place: Place, axis: int, notch: float) -> Place:
-    """Return a setting with one axis at ``notch``."""
-    return (*place[:axis], notch, *place[axis + 1 :])
+def _with_steps(combination: Combination, number: int, steps: float) -> Combination:
+    """Return a combination in which one setting has other refinement ``steps``."""
+    return (*combination[:number], steps, *combination[number + 1 :])
 
 
 def bench(
@@ -262,56 +277,59 @@ def bench(
 ) -> dict[str, Any]:
     """Measure error and time of ``scene`` and write ``bench.json`` and ``bench.html`` into ``out``.
 
-    Returns the record. The error of a setting is the largest relative error of the metrics
-    ``metric``. By default, the metrics are those of the key ``bench.metric``; without this key, all
-    scalars that converge.
+    Returns the content of ``bench.json``. The error of a combination is the largest relative error
+    of the metrics ``metric``. By default, the metrics are those of the key ``bench.metric``;
+    without this key, all converging metrics that are single numbers.
 
     Raises
     ------
     UsageError : an unknown metric, or a scene without numerical settings.
-    SimulationError : the unchanged scene, or its reference, does not run.
+    SimulationError : the run of the unchanged scene, or the reference run, fails.
     MissingToolError : no ngspice.
     """
     simulator = find_ngspice()
     with stage_directory(out) as work:
         progress("models", None, "the scene as it is")
         run = refine.evaluate_scene(scene, Clock(), trust=trust, retries=0)
-        plane, requested = _Plane(run), metric or scene.bench.metric
+        search, requested = _SettingSearch(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
-        check = _measure_convergence(plane, selected, keep_all=bool(requested))
-        plane.search(error, progress)
-        plane.measure_times(repeats, progress)
-        progress("estimate", None, "all settings and meshes a notch finer")
-        finest = refine_settings(plane.axes, plane.notches((REFERENCE_NOTCHES,) * len(plane.axes)))
-        best = plane.find_cheapest(error)
-        points = sorted(plane.points.values(), key=attrgetter("time"))
+        check = _measure_convergence(search, selected, keep_all=bool(requested))
+        search.run_combinations(error, progress)
+        search.measure_times(repeats, progress)
+        progress("estimate", None, "all settings and meshes one step finer")
+        finest = refine_settings(
+            search.varied_settings,
+            search.steps_by_setting((REFERENCE_STEPS,) * len(search.varied_settings)),
+        )
+        best = search.find_cheapest(error)
+        points = sorted(search.points.values(), key=attrgetter("time"))
         record = {
             "scene": scene.name,
             "simulator": f"{simulator.name} {simulator.version}",
             "limit": error,
             "repeats": repeats,
-            "metrics": plane.names,
-            "left_out": {name: check.get(name) for name in selected if name not in plane.names},
-            "points": list(map(plane.record, points)),  # the quickest first
-            "failed": list(plane.failed.values()),
-            "recommended": best and {**plane.record(best), "set": _set_options(best.settings)},
+            "metrics": search.names,
+            "left_out": {name: check.get(name) for name in selected if name not in search.names},
+            "points": list(map(search.record, points)),  # the fastest first
+            "failed": list(search.failed.values()),
+            "recommended": best and {**search.record(best), "set": _set_options(best.settings)},
             "reference": {
                 "label": _describe_settings(finest),
                 "settings": finest,
-                "time_s": plane.run_all_at(REFERENCE_NOTCHES).cpu_s,
-                "error": max(check[name] + plane.unrefined_errors[name] for name in plane.names),
+                "time_s": search.run_all_at(REFERENCE_STEPS).cpu_s,
+                "error": max(check[name] + search.unrefined_errors[name] for name in search.names),
             },
-            "estimate": plane.estimate(),
+            "estimate": search.estimate_error(),
         }
         write_bench(work, scene.title or scene.name, record)
         return write_record(record, work, "bench.json")
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the metrics of ``run`` with these names, or whose names begin with them and a dot.
+    """Return the metrics of ``run`` with ``names``, or whose names begin with a name and a dot.
 
-    Without names these are all scalars that are numbers; if there are none, all curves.
+    Without ``names``, the result is all metrics that are single numbers, otherwise all curves.
 
     Raises
     ------
@@ -328,16 +346,18 @@ def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(result or scalars or numbers))
 
 
-def _measure_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bool) -> Errors:
+def _measure_convergence(
+    search: _SettingSearch, selected: Sequence[str], *, keep_all: bool
+) -> Errors:
     """Return the change of each selected metric at the finest settings.
 
-    The metrics that converge become the ``names`` of the plane; with ``keep_all``, all do.
+    The converging metrics become the ``names`` of the search; with ``keep_all``, all metrics do.
 
     Raises
     ------
-    SimulationError : none converges.
+    SimulationError : no metric converges.
     """
-    start, finer, exact = map(plane.run_all_at, (0.0, CHECK_NOTCHES, REFERENCE_NOTCHES))
+    start, finer, exact = map(search.run_all_at, (0.0, CHECK_STEPS, REFERENCE_STEPS))
     moved, changed = metric_changes(finer, exact), metric_changes(start, exact)
     present = []
     for name in selected:
@@ -345,8 +365,8 @@ def _measure_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
         if comparable and exact.values[name].any():
             present.append(name)
     check = run_errors(finer, exact, present)
-    plane.names = tuple(name for name in check if keep_all or check[name] <= MAX_METRIC_CHANGE)
-    if not plane.names:
+    search.names = tuple(name for name in check if keep_all or check[name] <= MAX_METRIC_CHANGE)
+    if not search.names:
         raise SimulationError(
             "no metric converges",
             where=f"bench {start.build.scene.name}",
@@ -362,7 +382,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
 
     Raises
     ------
-    SimulationError : a metric is missing, or a metric that is true or false has changed.
+    SimulationError : a metric is missing, or a metric with the value true or false has changed.
     """
     for name, value in exact.values.items():
         ours = run.values.get(name)
@@ -378,7 +398,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
 
 
 def _set_options(settings: Mapping[str, Any]) -> list[str]:
-    """Return the options of the command line that change these settings."""
+    """Return the command-line options that change these settings."""
     options = []
     for key, value in settings.items():
         text = value if isinstance(value, str) else repr(value)
@@ -387,13 +407,13 @@ def _set_options(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _describe_settings(settings: Mapping[str, Any]) -> str:
-    """Return changed settings in words."""
+    """Return a text that describes changed settings."""
     words = (f"{key} {_format_setting(value)}" for key, value in settings.items())
     return ", ".join(words) or "as it is"
 
 
 def _format_setting(value: Any) -> str:
-    """Return a number, a range or a word as text."""
+    """Return a number, a range or a text of a setting as text."""
     if isinstance(value, list):
         return "…".join(map("{:g}".format, value))
     return value if isinstance(value, str) else f"{value:g}"

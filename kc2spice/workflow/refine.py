@@ -1,10 +1,10 @@
-"""Runs of a scene with refined numerical settings, and error estimates of its metrics.
+"""RefinedRuns of a scene with refined numerical settings, and error estimates of its metrics.
 
-The axes are the settings of :mod:`kc2spice.scene.numerical_settings`, which change in notches
-(refinement steps). A refined run changes all axes by one notch. The error estimate of a metric is
-its change, times :data:`REMAINDER_FACTOR`. With an ``error_budget`` the axis that changes the
-metrics most is refined first. The search ends when the estimate of every metric is within the
-budget, or reports its attempts.
+Numerical settings (:mod:`kc2spice.scene.numerical_settings`) change in refinement steps. A refined
+run changes all settings by one step. The error estimate of a metric is its change by this run,
+times :data:`REMAINDER_FACTOR`. With an ``error_budget``, the setting that changes the metrics most
+is refined first. The refinement ends when the estimate of every metric is within the budget, or
+when no setting can be refined further.
 """
 
 from __future__ import annotations
@@ -45,64 +45,68 @@ from kc2spice.workflow.simulate import (
     simulator_cpu,
 )
 
-# unknowns; larger refined meshes take more than minutes of CPU time
+# Largest number of unknowns of a refined mesh; larger meshes take more than minutes of CPU time.
 MAX_MESH_UNKNOWNS = 200_000
-MEMORY_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
-# bytes of a plane factor per unknown and doubling of the unknowns: 145 000 unknowns took 0.2 GB
+# fraction of free memory for one factor; matrices and modes need the remaining memory
+MEMORY_SHARE = 0.5
+# Bytes of the factor of a plane mesh, divided by n log2(n) for n unknowns; 145 000 unknowns took
+# 0.2 GB.
 PLANE_FACTOR_BYTES = 100.0
-MAX_RUNS = 16  # largest number of further runs besides the run of the scene
-DEFAULT_ERROR_LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
-# A notch removes at least half of the error of an axis, as at corners of a mesh; the error is at
-# most this multiple of the change of a metric.
+MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
+DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
+# A refinement step removes at least half of the error of a setting, as for a mesh with corners. The
+# error is therefore at most this multiple of the change of a metric.
 REMAINDER_FACTOR = 2.0
-# largest reduction of an error per notch; largest number of notches in one step
-MAX_NOTCH_GAIN = 4.0
-MAX_NOTCH_STEP = 3
-# smallest reference of a metric, relative to the largest metric with the same unit
+# Largest factor by which a refinement step reduces an error, and largest number of steps at a time.
+MAX_STEP_GAIN = 4.0
+MAX_ADDED_STEPS = 3
+# Smallest reference of a metric, as a fraction of the largest metric with the same unit.
 NEAR_ZERO_SHARE = 0.1
-SMALL_SIGNAL_SHARE = 1e-6  # the same for small signals, whose metrics are not small differences
-# largest ratio of successive estimates that counts as convergence; number of exceptions after which
-# the search ends
+# the same for small-signal analyses, whose metrics are not small differences
+SMALL_SIGNAL_SHARE = 1e-6
+# Largest ratio of successive estimates that counts as convergence, and number of larger ratios
+# after which the refinement ends.
 CONVERGENCE_RATIO = 0.9
 MAX_STALLS = 2
 
-Notches = Mapping[str, float]  # number of notches of each axis, keyed by its name
+RefinementSteps = Mapping[str, float]  # refinement steps, keyed by setting
 
 
 # --- runs -----------------------------------------------------------------------------------------
 
 
-class Runs:
-    """Runs of a scene keyed by the notches of its axes; each is computed once.
+class RefinedRuns:
+    """Runs of a scene with refined settings; each run is computed once.
 
-    Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of further runs for
-    an error estimate, besides the run of the unchanged scene.
+    ``refinable`` are the settings that can be refined; settings in ``finest`` can only become
+    coarser. ``most`` is the largest number of further runs for an error estimate, in addition to
+    the run of the unchanged scene.
     """
 
     def __init__(
         self,
         start: Run,
-        axes: Sequence[NumericalSetting],
+        refinable: Sequence[NumericalSetting],
         clock: Clock,
         *,
         finest: Sequence[NumericalSetting] = (),
         retries: int | None = None,
         most: float = MAX_RUNS,
     ) -> None:
-        self.start, self.axes, self.clock, self.retries = start, axes, clock, retries
+        self.start, self.refinable, self.clock, self.retries = start, refinable, clock, retries
         self.finest, self.most = finest, most
-        self.known: dict[str, Run] = {repr({}): start}
-        self.refused: UsageError | None = None  # error of the last mesh that was too large
+        self.run_cache: dict[str, Run] = {repr({}): start}
+        self.refused: UsageError | None = None  # error about the latest mesh that was too large
 
-    def run_at(self, notches: Notches) -> Run:
-        """Return the run with its axes moved by ``notches``.
+    def run_at(self, steps: RefinementSteps) -> Run:
+        """Return the run with settings refined by ``steps``.
 
         Raises as :func:`kc2spice.workflow.simulate.simulate_deck` does.
         """
-        build, settings = self.start.build, refine_settings(self.all_axes, notches)
-        if repr(settings) not in self.known:
-            self.require_size(notches)
-            self.known[repr(settings)] = evaluate_scene(
+        build, settings = self.start.build, refine_settings(self.all_settings, steps)
+        if repr(settings) not in self.run_cache:
+            self.require_mesh_size(steps)
+            self.run_cache[repr(settings)] = evaluate_scene(
                 load_scene(build.scene, settings),
                 self.clock,
                 ", ".join(settings),
@@ -110,32 +114,34 @@ class Runs:
                 functions=build.functions,
                 retries=self.retries,
             )
-        return self.known[repr(settings)]
+        return self.run_cache[repr(settings)]
 
     @property
-    def all_axes(self) -> tuple[NumericalSetting, ...]:
-        """Axes that can be refined, then axes at their finest value."""
-        return (*self.axes, *self.finest)
+    def all_settings(self) -> tuple[NumericalSetting, ...]:
+        """Settings that can be refined, then settings at their finest value."""
+        return (*self.refinable, *self.finest)
 
     @cached_property
     def limits(self) -> tuple[float, float]:
-        """Largest number of unknowns and memory [B] of a refined mesh."""
+        """Largest number of unknowns, and largest memory [B], of a refined mesh."""
         return MAX_MESH_UNKNOWNS, MEMORY_SHARE * available_bytes()
 
-    def require_size(self, notches: Notches) -> None:
-        """Reject meshes that exceed :attr:`limits` when refined by ``notches``.
+    def require_mesh_size(self, steps: RefinementSteps) -> None:
+        """Reject meshes that exceed :attr:`limits` after refinement by ``steps``.
 
         Raises
         ------
         UsageError : the mesh needs too many unknowns or too much memory.
         """
-        for axis in self.axes:
-            part = self._body_of_axis(axis)
-            if part is None or not notches.get(axis.name):
+        for setting in self.refinable:
+            part = self._body_of_setting(setting)
+            if part is None or not steps.get(setting.name):
                 continue
             assert isinstance(part.type, MeshedBody)
             dimensions = part.type.dimensions(part)
-            grown = (axis.refined_keys(notches[axis.name])[axis.name] / axis.value) ** dimensions
+            grown = (
+                setting.refined_keys(steps[setting.name])[setting.name] / setting.value
+            ) ** dimensions
             unknowns = grown * self.start.build.facts(part)["unknowns"]
             need = factor_bytes(unknowns, dimensions)
             most, memory = self.limits
@@ -143,28 +149,31 @@ class Runs:
                 got = f"about {_format_size(unknowns, need)}"
                 expected = f"at most {_format_size(most, memory)}"
                 self.refused = wrong(
-                    axis.name, "the finer mesh for the error estimate is too large", got, expected
+                    setting.name,
+                    "the finer mesh for the error estimate is too large",
+                    got,
+                    expected,
                 )
                 raise self.refused
 
-    def _body_of_axis(self, axis: NumericalSetting) -> Part | None:
-        """Return the body whose mesh an axis refines; None if the run refines no mesh."""
-        for part in self.start.build.scene.parts.values() if axis.model else ():
-            refined = axis.name.startswith(f"{part.key_prefix}.")
+    def _body_of_setting(self, setting: NumericalSetting) -> Part | None:
+        """Return the body whose mesh a setting refines; None for a setting of no mesh."""
+        for part in self.start.build.scene.parts.values() if setting.model else ():
+            refined = setting.name.startswith(f"{part.key_prefix}.")
             if refined and isinstance(part.type, MeshedBody):
                 return part
         return None
 
     @property
     def has_runs_left(self) -> bool:
-        """Whether a further run is within :attr:`most`."""
-        return len(self.known) <= self.most
+        """Whether the number of runs allows a further run."""
+        return len(self.run_cache) <= self.most
 
-    def mesh_error(self, names: Sequence[str], run: Run) -> float:
-        """Return the largest error estimate of the meshes of ``run`` that axes ``names`` refine."""
+    def largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
+        """Return the largest error estimate of meshes of ``run`` that settings ``names`` refine."""
         largest = 0.0
-        for axis in self.all_axes:
-            part = self._body_of_axis(axis) if axis.name in names else None
+        for setting in self.all_settings:
+            part = self._body_of_setting(setting) if setting.name in names else None
             if part is not None:
                 errors = list_mesh_errors(run.build.facts(part))
                 largest = max([largest, *errors.values()])
@@ -172,7 +181,7 @@ class Runs:
 
 
 def _format_size(unknowns: float, memory: float) -> str:
-    """Return a number of unknowns and a memory [B] in words."""
+    """Return a number of unknowns and a memory size [B] as text."""
     return f"{unknowns:,.0f}".replace(",", " ") + f" unknowns and {memory / 1e9:.2g} GB"
 
 
@@ -221,10 +230,11 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
     """Return the relative change of every metric of ``finer``.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
-    the number itself, but at least to a share of the largest metric with the same unit. The share
-    is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for responses to small signals.
-    Metrics without a unit have no such lower limit. A curve over other points is interpolated to
-    the points of ``run``. The change is infinite if ``run`` has no comparable metric.
+    the larger of two values: the number itself, and a fraction of the largest metric with the same
+    unit. The fraction is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for small-signal
+    responses. Without a unit, the change is relative to the number itself. A curve over other
+    points is interpolated to the points of ``run``. The change is infinite if ``run`` has no
+    comparable metric.
     """
     share = SMALL_SIGNAL_SHARE if run.is_small_signal else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
@@ -256,14 +266,14 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Run with its axes moved by ``notches``, and the error estimate of each metric.
+class RunEstimate:
+    """Run with settings refined by ``steps``, and the error estimate of each metric.
 
-    The estimates come from a refined run. The axes ``unmoved`` could not be refined; their part of
-    the largest error is ``fixed``.
+    The estimates come from a further, finer run. The settings ``unmoved`` could not be refined;
+    ``fixed`` is their contribution to the largest error.
     """
 
-    notches: Notches
+    steps: RefinementSteps
     settings: Mapping[str, Any]
     run: Run
     errors: Mapping[str, float] = field(default_factory=dict)
@@ -276,7 +286,7 @@ class Estimate:
         return max(self.errors.values(), default=math.inf)
 
     def record(self) -> dict[str, Any]:
-        """Return the row of this estimate in ``result.json``."""
+        """Return the row of the run and its estimate in ``result.json``."""
         return {
             "settings": dict(self.settings),
             "errors": dict(self.errors),
@@ -288,25 +298,25 @@ class Estimate:
 class ConvergedRun:
     """Final run of an error budget, its check, and all estimates.
 
-    ``shares`` are the errors of single axes. ``limits`` are the number of unknowns and the memory
-    [B] that a refined mesh may take.
+    ``shares`` are the errors of single settings. ``limits`` are the largest number of unknowns and
+    the largest memory [B] of a refined mesh.
     """
 
-    final: Estimate
+    final: RunEstimate
     check: Check
-    tried: Sequence[Estimate]
+    tried: Sequence[RunEstimate]
     shares: Mapping[str, float]
     limits: tuple[float, float]
 
     @property
     def run(self) -> Run:
-        """Run within the error budget, with the check of its estimate."""
+        """Final run, with the check of its error estimate."""
         run = self.final.run
         verdict = replace(run.verdict, checks=(*run.verdict.checks, self.check))
         return replace(run, verdict=verdict)
 
     def record(self) -> dict[str, Any]:
-        """Return ``convergence`` of ``result.json``."""
+        """Return the table ``convergence`` of ``result.json``."""
         return {
             "budget": self.check.limit,
             "held": self.check.passed,
@@ -314,7 +324,7 @@ class ConvergedRun:
             "shares": dict(self.shares),
             "unmoved": self.final.unmoved,
             "limits": dict(zip(("unknowns", "memory_bytes"), self.limits, strict=True)),
-            "tried": list(map(Estimate.record, self.tried)),
+            "tried": list(map(RunEstimate.record, self.tried)),
         }
 
 
@@ -322,7 +332,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
-    scene has neither ``error_budget`` nor ``checks.reduction``. Warns of refined settings.
+    scene has neither ``error_budget`` nor ``checks.reduction``. A warning lists refined settings.
 
     Raises
     ------
@@ -333,20 +343,20 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     if action == "off":
         return None
     limit = budget or DEFAULT_ERROR_LIMIT
-    runs = Runs(
+    runs = RefinedRuns(
         start, find_numerical_settings(start.build), clock, finest=find_finest_settings(start.build)
     )
-    if any(map(attrgetter("mesh"), runs.axes)):
+    if any(map(attrgetter("mesh"), runs.refinable)):
         most, memory = runs.limits
         text = f"meshes are refined up to {_format_size(most, memory)} of memory"
         clock.progress(ERROR_BUDGET, None, text)
-    tried: list[Estimate] = []
+    tried: list[RunEstimate] = []
     shares: dict[str, float] = {}
-    notches: Notches = {}
+    steps: RefinementSteps = {}
     why, last, stalls = "", math.inf, 0
     other = "change the keys that the run refined"
     while True:
-        now = estimate_errors(runs, notches)
+        now = estimate_errors(runs, steps)
         if now is None:
             why = "a refined run failed"
             break
@@ -354,7 +364,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
         if now.error <= limit or budget is None:
             break
         if now.fixed > limit:
-            if any(axis.mesh for axis in runs.all_axes if axis.name in now.unmoved):
+            if any(setting.mesh for setting in runs.all_settings if setting.name in now.unmoved):
                 other = "give a mesh that is finer where its error arises"
             why = _finest_mesh_reason(runs, now)
             break
@@ -363,7 +373,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
             why = f"the estimate does not shrink: {last:.2g}, then {now.error:.2g}"
             break
         last = now.error
-        moved = _refine_dominant_axis(runs, now, shares, limit)
+        moved = _refine_dominant_setting(runs, now, shares, limit)
         if moved is None or not runs.has_runs_left:
             why = (
                 "nothing more to refine"
@@ -371,8 +381,8 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
                 else f"the budget is not met after {MAX_RUNS} runs"
             )
             break
-        notches = moved
-    final = tried[-1] if tried else Estimate({}, {}, start)
+        steps = moved
+    final = tried[-1] if tried else RunEstimate({}, {}, start)
     advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
     worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
     check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
@@ -387,109 +397,118 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     return ConvergedRun(final, check, tried, shares, runs.limits)
 
 
-def _finest_mesh_reason(runs: Runs, now: Estimate) -> str:
-    """Return why the meshes of ``now``, whose error exceeds the budget, are not refined."""
+def _finest_mesh_reason(runs: RefinedRuns, now: RunEstimate) -> str:
+    """Return why meshes whose error exceeds the budget are not refined further."""
     if (large := runs.refused) is None:
         return f"{', '.join(now.unmoved)} cannot be refined"
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
 
 
-def estimate_errors(runs: Runs, notches: Notches) -> Estimate | None:
-    """Estimate the error of each metric at ``notches``; None if no refined run has a result.
+def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | None:
+    """Estimate the error of each metric at ``steps``; None if no refined run has a result.
 
-    The refined run has all axes a notch finer. If the refined meshes are too large for the
-    machine, the meshes remain unchanged. The error of axes at their finest value follows from
-    coarser runs (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report this
-    estimate.
+    In the refined run, all settings are one step finer. If the refined meshes are too large for the
+    machine, the meshes remain unchanged. The error of settings at their finest value is estimated
+    from coarser runs (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report
+    this estimate.
     """
-    now = runs.run_at(notches)
+    now = runs.run_at(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
-    meshes = [axis for axis in runs.axes if axis.model]
-    for fixed_axes in ([], meshes) if meshes else ([],):
-        finer = _try_run(runs, _add_notches(notches, [a for a in runs.axes if a not in fixed_axes]))
-        unmoved = (*map(attrgetter("name"), fixed_axes), *finest)
+    meshes = [setting for setting in runs.refinable if setting.model]
+    for fixed_settings in ([], meshes) if meshes else ([],):
+        finer = _try_run(
+            runs, _add_steps(steps, [item for item in runs.refinable if item not in fixed_settings])
+        )
+        unmoved = (*map(attrgetter("name"), fixed_settings), *finest)
         if finer is not None:
-            settings = refine_settings(runs.axes, notches)
+            settings = refine_settings(runs.refinable, steps)
             errors = _estimate_differences(now, finer)
-            # errors that refined runs do not change
-            left = estimate_by_coarser_runs(runs, notches, unmoved, errors)
+            # errors of settings that the refined run does not change
+            left = estimate_by_coarser_runs(runs, steps, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
-            return Estimate(notches, settings, now, errors, unmoved, fixed)
+            return RunEstimate(steps, settings, now, errors, unmoved, fixed)
     return None
 
 
 def estimate_by_coarser_runs(
-    runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
+    runs: RefinedRuns, steps: RefinementSteps, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimate the error of each of the ``metrics`` by ``unmoved`` axes.
+    """Estimate the error of each of the ``metrics`` that ``unmoved`` settings cause.
 
-    The estimate is the larger of two values: the error of the mesh of a body, and the change of the
-    metric by a coarser setting. A notch at least halves an error, so that the change is not less
-    than the remaining error.
+    The estimate is the larger of two values: the error estimate of the mesh of a body, and the
+    change of the metric by a coarser setting. A refinement step at least halves an error, so that
+    the change is not less than the remaining error.
     """
-    now = runs.run_at(notches)
-    result = dict.fromkeys(metrics, runs.mesh_error(unmoved, now))
-    for axis in runs.all_axes:
-        if axis.name not in unmoved:
+    now = runs.run_at(steps)
+    result = dict.fromkeys(metrics, runs.largest_mesh_error(unmoved, now))
+    for setting in runs.all_settings:
+        if setting.name not in unmoved:
             continue
-        at = notches.get(axis.name, 0)
+        at = steps.get(setting.name, 0)
         coarser = None
-        if axis.refined_keys(at - 1) != axis.refined_keys(at):
-            coarser = _try_run(runs, _add_notches(notches, [axis], -1))
+        if setting.refined_keys(at - 1) != setting.refined_keys(at):
+            coarser = _try_run(runs, _add_steps(steps, [setting], -1))
         for name, change in metric_changes(coarser, now).items() if coarser is not None else ():
             if math.isfinite(change):
                 result[name] = max(result.get(name, 0.0), change)
     return result
 
 
-def _refine_dominant_axis(
-    runs: Runs, now: Estimate, shares: dict[str, float], limit: float
-) -> Notches | None:
-    """Refine the axis that changes the metrics most, by several notches if necessary.
+def _refine_dominant_setting(
+    runs: RefinedRuns, now: RunEstimate, shares: dict[str, float], limit: float
+) -> RefinementSteps | None:
+    """Refine the setting that changes the metrics most, by several steps if necessary.
 
-    ``shares`` are the changes by single axes. A call adds missing entries, and deletes the entry of
-    the moved axis. The result is None if no axis can be refined.
+    ``shares`` are the changes by single settings. A call adds missing entries, and deletes the
+    entry of the refined setting. The result is None if no setting can be refined.
     """
-    for axis in runs.axes:
-        if axis.name not in shares and axis.name not in now.unmoved:
-            alone = _try_run(runs, _add_notches(now.notches, [axis]))
+    for setting in runs.refinable:
+        if setting.name not in shares and setting.name not in now.unmoved:
+            alone = _try_run(runs, _add_steps(now.steps, [setting]))
             if alone is not None:
-                shares[axis.name] = max(_estimate_differences(now.run, alone).values(), default=0.0)
-    for axis in sorted(runs.axes, key=lambda axis: shares.get(axis.name, -1.0), reverse=True):
-        if axis.name not in shares:
+                shares[setting.name] = max(
+                    _estimate_differences(now.run, alone).values(), default=0.0
+                )
+    for setting in sorted(
+        runs.refinable, key=lambda setting: shares.get(setting.name, -1.0), reverse=True
+    ):
+        if setting.name not in shares:
             continue
-        far = int(math.log(max(shares[axis.name] / limit, 1.0)) / math.log(MAX_NOTCH_GAIN))
-        most = 1 if axis.model else min(max(far, 1), MAX_NOTCH_STEP)
-        at = now.notches.get(axis.name, 0)
-        # one further notch must change the setting
+        far = int(math.log(max(shares[setting.name] / limit, 1.0)) / math.log(MAX_STEP_GAIN))
+        most = 1 if setting.model else min(max(far, 1), MAX_ADDED_STEPS)
+        at = now.steps.get(setting.name, 0)
+        # a further refinement step must change the setting
         by = next(
             (
                 n
                 for n in range(most, 0, -1)
-                if axis.refined_keys(at + n) != axis.refined_keys(at + n + 1)
+                if setting.refined_keys(at + n) != setting.refined_keys(at + n + 1)
             ),
             0,
         )
         if not by:
-            # the axis is at its limit, and refining other axes does not reduce this error
+            # The setting has its finest value, and refining other settings does not reduce its
+            # error.
             return None
-        moved = _add_notches(now.notches, [axis], by)
+        moved = _add_steps(now.steps, [setting], by)
         if _try_run(runs, moved) is not None:
-            del shares[axis.name]
+            del shares[setting.name]
             return moved
     return None
 
 
-def _add_notches(notches: Notches, moved: Sequence[NumericalSetting], by: int = 1) -> Notches:
-    """Return ``notches`` plus further notches of some axes."""
-    return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
+def _add_steps(
+    steps: RefinementSteps, moved: Sequence[NumericalSetting], by: int = 1
+) -> RefinementSteps:
+    """Return ``steps`` plus further steps of some settings."""
+    return {**steps, **{setting.name: steps.get(setting.name, 0) + by for setting in moved}}
 
 
-def _try_run(runs: Runs, notches: Notches) -> Run | None:
-    """Return the run at ``notches``; None if the run has no result, or if no runs are left."""
+def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
+    """Return the run at ``steps``; None if the run fails, or if no further run is allowed."""
     try:
-        return runs.run_at(notches) if runs.has_runs_left else None
+        return runs.run_at(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
         return None
 

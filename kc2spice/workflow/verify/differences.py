@@ -62,7 +62,7 @@ def list_gate_checks(
 ) -> tuple[list[Check], float | None]:
     """Return a check for each gate of a pair of solutions, and the largest leading difference.
 
-    A gate is a pass limit; a leading gate determines the figure of the pair in the report.
+    A gate is a pass limit. The difference of a leading gate is the error of the pair in the record.
 
     ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
     gate applies to the metric of its part.
