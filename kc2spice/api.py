@@ -174,9 +174,9 @@ def run(
     Raises
     ------
     UsageError : as :func:`kc2spice.load_scene`; a ``deck`` without the vectors of the metrics; a
-    directory ``out`` that cannot be written, which is checked before the computation.
-    MissingToolError : no ngspice. SimulationError : ngspice or a check of its result failed. With
-    ``out``, deck and log are kept
+        directory ``out`` that cannot be written, which is checked before the computation.
+    MissingToolError : no ngspice.
+    SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
 
     Examples
@@ -400,10 +400,7 @@ class Result:
 
     @property
     def scale(self) -> str:
-        """Scale of all other waves, their independent variable:
-
-        ``time``, ``frequency`` or ``sweep``.
-        """
+        """Name of the independent variable: ``time``, ``frequency`` or ``sweep``."""
         return next(iter(self.waves))
 
     @property
@@ -509,7 +506,7 @@ class Result:
         Raises
         ------
         UsageError : ``out`` cannot be written, or another deck in ``out`` includes a different
-        library of the same name.
+            library of the same name.
         """
         with stage_directory(out) as work:
             protect_other_decks(Path(out), self.deck.files)

@@ -59,7 +59,7 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
     Raises
     ------
     UsageError : the part has no voltage and current, a part of the scene has no equations, or no
-    source drives the part.
+        source drives the part.
 
     Examples
     --------

@@ -72,7 +72,7 @@ def make_deck(build: Build) -> Deck:
     Raises
     ------
     UsageError : a probe reads an unknown vector; an included file is missing or unsafe; two
-    libraries have one name; no source has the swept key; or the scene has no operating point.
+        libraries have one name; no source has the swept key; or the scene has no operating point.
     """
     scene = build.scene
     for problem in find_start_errors(scene, build.rests):

@@ -106,8 +106,8 @@ def fit(
     Raises
     ------
     UsageError : the body, key or data do not exist; a key does not change the admittance; the
-    result does not match the measured part; or ``out`` cannot be written, which is checked before
-    the fit.
+        result does not match the measured part; or ``out`` cannot be written, which is checked
+        before the fit.
 
     Examples
     --------

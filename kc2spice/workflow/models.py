@@ -37,7 +37,7 @@ def build_models(
     Raises
     ------
     UsageError : a probe reads an unknown result, which is detected before models are built, or a
-    mass is implausible.
+        mass is implausible.
     """
     build = Build(scene, {}, trust=trust, functions=functions or {})
     require_probed_results(build)

@@ -148,7 +148,7 @@ def reduce_file(
     GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT` and
         :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
-    is checked before the reduction. Nothing is written.
+        is checked before the reduction. Nothing is written.
     SimulationError : the tolerance cannot be met; nothing was written.
     GateMissedError : the circuit of the reduced model misses the tolerance; nothing was written.
 
@@ -621,8 +621,8 @@ def export_rom(
     Raises
     ------
     UsageError : the file is not a reduced model, the model has no such subcircuit, or the dialect
-    cannot represent the subcircuit; also see :func:`kc2spice.workflow.decks.protect_other_decks`.
-    Nothing is written.
+        cannot represent the subcircuit; also see
+        :func:`kc2spice.workflow.decks.protect_other_decks`. Nothing is written.
     """
     if dialect not in dialect_names():
         raise unknown_dialect_error(dialect, dialect_names())

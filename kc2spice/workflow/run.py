@@ -131,7 +131,7 @@ def run_scene(
     UsageError : ``deck`` does not save the vectors of the scene's metrics.
     MissingToolError : ngspice is missing, which is checked before finite elements are computed.
     SimulationError : a stage failed. Nothing was written to ``out``. The deck and its log are kept
-    in ``<out>.failed`` until a run with the same ``out`` succeeds.
+        in ``<out>.failed`` until a run with the same ``out`` succeeds.
 
     Examples
     --------

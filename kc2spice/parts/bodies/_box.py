@@ -54,7 +54,7 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     Raises
     ------
     UsageError : too many keys, a key that the part does not have or that is not a number, an empty
-    range or a range without the value of the part, or invalid values.
+        range or a range without the value of the part, or invalid values.
     """
     ranges = part.parameter_ranges
     where = f"{part.name}.{RANGES_KEY}"

@@ -118,10 +118,7 @@ def _join_terms(*terms: str) -> str:
 
 
 def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: RelaxationLadder) -> None:
-    """Add the paths of eddy currents:
-
-    ``le``, ``rss`` and the ladder of ``1/(ke sqrt(s))``.
-    """
+    """Add the paths of eddy currents: ``le``, ``rss`` and the ladder of ``1/(ke sqrt(s))``."""
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
     notes = {

@@ -79,10 +79,7 @@ class Amplifier(Driver[AmplifierKeys]):
 
 
 class ChargeKeys(InputNoise):
-    """Amplifier that controls the charge of the chip:
-
-    ``capacitance`` times the voltage of the kick pulse.
-    """
+    """Amplifier that controls the chip's charge: ``capacitance`` times the kick pulse's voltage."""
 
     capacitance: Capacitance = Field(
         150e-9, gt=0, description="Charge of the chip per volt of command"

@@ -73,10 +73,7 @@ class Rating(Section):
 
 
 class NetlistKeys(Section):
-    """Keys of a user's subcircuit:
-
-    ``.subckt SUBCKT`` in ``file``, in the folder of the scene.
-    """
+    """Keys of a user's subcircuit: ``.subckt SUBCKT`` in ``file``, in the folder of the scene."""
 
     file: FileName = Field(description="Netlist file in the scene's folder")
     subckt: str = Field(

@@ -51,10 +51,7 @@ from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):
-    """Data of an element:
-
-    ``key`` with unit, ``stated`` energies, and ``drive`` in its example.
-    """
+    """Data of an element: ``key`` with unit, ``stated`` energies, and ``drive`` in its example."""
 
     name: str
     title: str
@@ -127,10 +124,9 @@ part = "source"
 
 
 class LinearElement(DeclaredPart[KeysT]):
-    """Linear element that is one card:
+    """Linear element that is one card: ``through = admittance d^order/dt^order`` of ``across``.
 
-    ``through = admittance d^order/dt^order`` of ``across``. An element whose heat pin is joined is
-    a subcircuit instead.
+    An element whose heat pin is joined is a subcircuit instead.
 
     Currents are not read from the device (``@r[i]``), which ngspice computes only at the operating
     point of an ac analysis. The current of a resistance is computed from its law, an inductance has

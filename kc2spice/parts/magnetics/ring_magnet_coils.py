@@ -609,10 +609,7 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
 
 
 def result_prefix(part: Part[Coils]) -> str:
-    """Return the prefix of result names:
-
-    ``coil`` for the paper's catch, else the part's name.
-    """
+    """Return the prefix of result names: ``coil`` for the paper's catch, else the part's name."""
     return "coil" if part.name == "catch" else part.name
 
 

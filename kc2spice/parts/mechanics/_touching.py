@@ -130,10 +130,9 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pair:
-    """Both sides of a contact:
+    """Both sides of a contact: ``a`` below and ``b`` above.
 
-    ``a`` below and ``b`` above. Side ``a`` has one or several ports. The contact opens if ``b``
-    rises.
+    Side ``a`` has one or several ports. The contact opens if ``b`` rises.
     """
 
     part: Part[ContactKeys]

@@ -61,10 +61,7 @@ class MassKeys(Section):
 
 
 def _frames(count: int) -> list[str]:
-    """Return the names of acceleration pins of frames:
-
-    ``frame``, ``frame2``, ``frame3``.
-    """
+    """Return the names of acceleration pins of frames: ``frame``, ``frame2``, ``frame3``."""
     return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
 
@@ -164,7 +161,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         Raises
         ------
         UsageError : the keys state an initial state, but the part to which the mass is fixed has
-        another initial state.
+            another initial state.
         """
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity

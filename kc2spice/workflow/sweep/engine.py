@@ -205,7 +205,7 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
     Raises
     ------
     UsageError : as :func:`make_sweep`; ``name`` is neither a scene nor a study; or the study
-    contains a mistake.
+        contains a mistake.
     """
     study = _find_study(name)
     if study is None:
@@ -261,7 +261,7 @@ def run_points(
     Raises
     ------
     UsageError : the deck lacks a subcircuit parameter, or its range excludes a swept value; or the
-    first successful point has no value for a column.
+        first successful point has no value for a column.
     MissingToolError : there are no workers, or they have no ngspice.
     """
     ends = chain.from_iterable(map(subcircuit_parameters, definition.plan.ends()))
@@ -372,7 +372,7 @@ def run_sweep(
     UsageError : ``out`` contains another sweep, another process writes to it, or it cannot be
         written.
     MissingToolError : there are no workers, they have no ngspice, or pyarrow is missing for
-    Parquet.
+        Parquet.
 
     Examples
     --------

@@ -33,10 +33,7 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class RandomSample:
-    """Range of ``n`` random values of a key:
-
-    ``normal(a, b)`` or ``uniform(a, b)``.
-    """
+    """Range of ``n`` random values of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
 
     kind: str
     a: float

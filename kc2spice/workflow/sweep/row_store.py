@@ -43,7 +43,7 @@ class RowStore:
     Raises
     ------
     UsageError : another process writes to the database, or it contains another sweep or other
-    data.
+        data.
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:

@@ -55,8 +55,8 @@ def solve_laws(
 
     Raises
     ------
-    UsageError : the laws contradict each other. SimulationError : there is no equilibrium, or a law
-    is outside its valid range.
+    UsageError : the laws contradict each other.
+    SimulationError : there is no equilibrium, or a law is outside its valid range.
     """
     networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":

@@ -102,8 +102,8 @@ def verify_scenes(
     ------
     UsageError : a ``deck`` for several scenes, a deck without the subcircuits of the scene, or as
         :func:`kc2spice.workflow.decks.prepare_deck`.
-    MissingToolError : no ngspice; raised before finite elements are computed. SimulationError : one
-    of the solutions ended without a result.
+    MissingToolError : no ngspice; raised before finite elements are computed.
+    SimulationError : one of the solutions ended without a result.
     """
     if deck is not None and len(scenes) != 1:
         raise UsageError(
