@@ -10,8 +10,8 @@ from kc2spice.core.magnets import compute_test_forces
 from kc2spice.fem.magnet_field import (
     assemble_heights,
     compute_catch_table,
+    get_ring_direction,
     list_sphere_heights,
-    ring_direction,
 )
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
@@ -66,10 +66,10 @@ def brute_force(catch, radius, currents):
     assembles, factorises and solves for the sum of its sources and takes that one field's force.
     """
     y = list_sphere_heights(catch)
-    amplitudes = [np.array([ring_direction(catch), 1.0, i1, i2]) for i1, i2 in currents]
+    amplitudes = [np.array([get_ring_direction(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
     for index, system in assemble_heights(catch, radius):
         for case, amplitude in enumerate(amplitudes):
             field = system.solve(system.loads @ amplitude[:, None])
-            result[case, index] = system.force(field)[0, 0]
+            result[case, index] = system.compute_force_matrix(field)[0, 0]
     return result

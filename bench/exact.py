@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from kc2spice.linalg.factor import find_order
+from kc2spice.linalg.factor import find_elimination_order
 
 MODES = 40
 TERMS = 60  # most terms of the series; 20 are usual
@@ -61,7 +61,7 @@ class FullModel:
         n, massless = len(self.B), self.K.shape[0] - len(self.B)
         mass = sparse.block_diag([self.M, sparse.csc_array((massless, massless))])
         matrix = sparse.csc_array(self.K + self.shift * mass)
-        order = find_order(matrix)
+        order = find_elimination_order(matrix)
         solve = _indefinite_solver(matrix, order) if massless else _cholesky(matrix, order)
         padding = np.zeros((massless, 1))
         return lambda rhs: solve(np.vstack([rhs, np.repeat(padding, rhs.shape[1], axis=1)]))[:n]
@@ -127,7 +127,7 @@ class FullModel:
         """Function that solves with the block of the massless unknowns."""
         n = len(self.B)
         block = sparse.csc_array(-self.K[n:, n:])
-        solve = _cholesky(block, find_order(block))
+        solve = _cholesky(block, find_elimination_order(block))
         return lambda rhs: -solve(rhs)
 
 

@@ -76,7 +76,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.core.workspace": "Workspace",
     "kc2spice.equations.replay": "find_replayed_nets",
-    "kc2spice.equations.scene_laws": "SceneLaws scene_laws with_laws",
+    "kc2spice.equations.scene_laws": "SceneLaws get_scene_laws store_laws",
     "kc2spice.fem": "magnet_field materials",
     "kc2spice.fem.body_keys": "Damping",
     "kc2spice.fem.element_poling": "find_parents",
@@ -90,7 +90,8 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.fem.magnet_keys": "Catch Ring",
     "kc2spice.fem.magnet_rings": (
-        "Ladder Winding _fit_power_series compare_rings current_loop divide_section reduce_to_loops"
+        "LoopModel Winding _fit_power_series compare_rings make_current_loop divide_section "
+        "reduce_to_loops"
     ),
     "kc2spice.fem.materials": "Material material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh require_right_handed",

@@ -44,7 +44,7 @@ from kc2spice.fem.solid import (
     compute_displaced_volume,
     compute_node_shares,
 )
-from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
 
@@ -149,7 +149,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     facts |= {area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()}
     pencil = bare.model.pencil
     definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
-    require_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
+    require_memory_for_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
     answers = compute_undamped_responses(bare.model, bare.shift)
     timer.begin_step(2, steps)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)

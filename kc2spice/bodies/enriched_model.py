@@ -186,9 +186,7 @@ def enrich_model(
     ``solve_at_rest`` applies ``(K + shift M)^-1``.
     """
     model, enrichment = device.model, make_enrichment(device.solid)
-    more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scaled(
-        sectors
-    )
+    more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
     K, C, P = _mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
     if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are not potentials
@@ -226,7 +224,7 @@ def _find_free_functions(
     nodes = solid.basis(1).element_dofs
     free_nodes = _has_separate_unknown(device.displacement).reshape(-1, solid.components)
     electrode = _number_electrodes(device)
-    free, live = np.ones((count, solid.components), bool), enrichment.dielectric()
+    free, live = np.ones((count, solid.components), bool), enrichment.mask_dielectric_functions()
     for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
         on = electrode[nodes[local]]
         free[numbers] &= free_nodes[nodes[local]].any(axis=0)

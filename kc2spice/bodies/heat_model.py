@@ -27,7 +27,7 @@ from kc2spice.fem.heat_conduction import (
     assemble_faces,
     assemble_heat,
     assemble_interface,
-    local_functions,
+    list_local_functions,
 )
 from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
@@ -221,12 +221,12 @@ def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.nda
         if not cells.size:
             continue
         basis = solid.geometry.basis(elements=cells)
-        nodes, weights = basis.element_dofs.T, solid.measure(basis, cells)
+        nodes, weights = basis.element_dofs.T, solid.compute_weights(basis, cells)
         active, local = np.unique(nodes, return_inverse=True)
         local = local.reshape(nodes.shape)
         axes = solid.geometry.axes
         k = material.conductivity[axes][None, :, None]
-        points = list(local_functions(basis))
+        points = list(list_local_functions(basis))
         mass = np.zeros(())
         loads = np.zeros((active.size, len(axes), temperatures.shape[1]))
         fluxes = [-k * (G @ temperatures[nodes]) for _, G in points]

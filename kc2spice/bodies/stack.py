@@ -26,7 +26,7 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import name_part_in_errors
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
-from kc2spice.linalg.factor import require_bytes
+from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
 
 LEVEL_GROWTH = 0.25  # growth of a level's thickness with its depth
@@ -85,7 +85,7 @@ def make_stack_setup(
     plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
     nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
     sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
-    require_bytes(  # the factor is sparse with free potentials, otherwise banded
+    require_memory(  # the factor is sparse with free potentials, otherwise banded
         sparse_bytes if inner else min(sparse_bytes, 8.0 * 3 * nodes * 3 * plane),
         "the factorised stiffness",
         where="kick.mesh",

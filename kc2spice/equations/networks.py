@@ -1,4 +1,4 @@
-"""Networks of laws without common nets apart from ground, and their results.
+"""Networks of laws, which have no nets in common apart from ground, and their results.
 
 The functions take laws and groups of joined pins, without a scene. A pin of a law is written
 ``LAW.PIN``.
@@ -22,7 +22,7 @@ from kc2spice.core.laws import (
     sensor_block,
 )
 
-# SI values that 1 V on a node represents, keyed by kind of pin.
+# SI value of the quantity that 1 V on a node represents, keyed by the kind of pin.
 NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 
 
@@ -30,8 +30,9 @@ NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 class Network:
     """Laws that are joined directly or through other laws.
 
-    ``joins`` are the pins of each net, by its name; ``results`` map results to waves of the laws;
-    ``sweeps`` map ``(part, key)`` to a source and its value per SI unit of the key.
+    ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
+    linear combination of waves. ``sweeps`` maps ``(part, key)`` to the source that this key sets,
+    and to the source's value per SI unit of the key.
     """
 
     laws: tuple[Law, ...]
@@ -50,7 +51,7 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_determined_by(self, driven: set[str]) -> bool:
-        """Return whether sources at these pins set all nets, and no body moves."""
+        """Return whether sources at the pins ``driven`` set all nets, and no law is a body."""
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
         ungrounded = dict(self.joins)
@@ -58,14 +59,14 @@ class Network:
         return not any(map(driven.isdisjoint, ungrounded.values()))
 
     def select(self, names: set[str]) -> Network:
-        """Return the network of the laws with these names."""
+        """Return a network that contains only the laws with these names."""
         joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
-            within = tuple(pin for pin in pins if law_of(pin) in names)
+            within = tuple(pin for pin in pins if get_law_name(pin) in names)
             if within:
                 joins[net] = within
         for name, item in self.results.items():
-            if law_of(item.waves[0]) in names:
+            if get_law_name(item.waves[0]) in names:
                 results[name] = item
         for key, source in self.sweeps.items():
             if source[0] in names:
@@ -85,7 +86,7 @@ def split_networks(
     groups = [{law.name} for law in laws]
     for net, pins in joins.items():
         if net != GROUND:
-            groups.append(set(map(law_of, pins)))
+            groups.append(set(map(get_law_name, pins)))
     scene = Network(tuple(laws), joins, results, sweeps)
     return tuple(map(scene.select, merge_groups(groups)))
 
@@ -93,9 +94,9 @@ def split_networks(
 def connect_sensors(
     laws: Sequence[Law], joins: Mapping[str, tuple[str, ...]]
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
-    """Connect signal inputs to a voltage or a displacement through a sensor.
+    """Insert a sensor where a signal input is joined to a voltage or a displacement.
 
-    The output of the sensor is the voltage of the netlist's node: volts or micrometres.
+    The output of the sensor is the value of the node in the netlist: in volts or micrometres.
     """
     kinds, sensors, result = list_pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():
@@ -112,7 +113,7 @@ def connect_sensors(
     return [*laws, *sensors], result
 
 
-def law_of(pin: str) -> str:
+def get_law_name(pin: str) -> str:
     """Return the name of the law of a pin or wave ``LAW.NAME``."""
     return pin.partition(".")[0]
 

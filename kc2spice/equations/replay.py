@@ -19,7 +19,7 @@ from kc2spice.scene.model import Build
 
 # Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
 SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
-# time between samples, relative to the run; differences of shorter times are rounding errors
+# shortest time between samples, relative to the run; shorter differences are rounding errors
 SHORTEST_INTERVAL = 1e-6
 
 
@@ -30,11 +30,11 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     or signal that ngspice computed. A net whose value a law prescribes needs no source and is not
     in the result.
 
-    The result is None if no part has a law, or if no source has the kind of one of the nets.
+    The result is None if no part has a law, or if there is no kind of source for one of the nets.
     """
     result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}
-    for pins in laws.joins({}).values():
+    for pins in laws.join_nets({}).values():
         pins_joined |= dict.fromkeys(pins, pins)
     for net, name, pin, law_pin in laws.links:
         prescribed = map(partial(prescribes_value, laws.laws), pins_joined.get(law_pin, (law_pin,)))
@@ -47,9 +47,9 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 
 def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
-    """Return whether a part without a law may change the value on the net of a pin."""
+    """Return whether a pin's net joins a part without a law that may change the net's value."""
     for part, end in laws.build.scene.joined(name, pin):
-        if part in laws.missing and _may_change_net(laws.build, part, end):
+        if part in laws.parts_without_law and _may_change_net(laws.build, part, end):
             return True
     return False
 
@@ -68,9 +68,9 @@ def select_networks_to_solve(
 ) -> list[Network]:
     """Return the networks of the scene that sources do not completely determine.
 
-    Sources on the nets ``replayed`` (by net, the kind of its pins) have the values of ``waves``,
-    the results of ngspice. If these sources are on every net of a network, such as a capacitor
-    behind a rectifier, the network contains no unknown.
+    ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
+    result of ngspice in ``waves``. If such a source is on every net of a network, for example of a
+    capacitor behind a rectifier, the network contains no unknown.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():
@@ -86,18 +86,18 @@ def select_networks_to_solve(
 
 
 def list_recorded_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Return the result vectors that record values on these nets.
+    """Return the result vectors of ngspice that record the values on these nets.
 
-    Each vector is an expression with the SI value of its unit.
+    Each vector is an expression of ngspice and the factor that converts it to SI units.
     """
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 
 def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
-    """Return a source with the recorded values on a net."""
+    """Return a source that reproduces the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
-    # When a contact closes, time points are picoseconds apart, and their differences are rounding
-    # errors.
+    # When a contact closes, time points are picoseconds apart, and the differences between them are
+    # rounding errors.
     shortest = SHORTEST_INTERVAL * float(np.ptp(times))
     places = [0]
     for k in range(1, times.size):

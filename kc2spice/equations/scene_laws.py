@@ -1,6 +1,6 @@
 """Laws of all parts of a scene, and the nets that join their pins.
 
-:func:`scene_laws` is the entry point: its laws serve to choose and check the time step, to find
+:func:`get_scene_laws` is the entry point. The laws serve to choose and check the time step, to find
 resonances, and to verify scenes.
 """
 
@@ -53,29 +53,29 @@ class SceneLaws:
     build: Build
 
     @cached_property
-    def with_cards(self) -> tuple[str, ...]:
+    def parts_with_cards(self) -> tuple[str, ...]:
         """Names of the parts that have netlist statements."""
         scene = self.build.scene
         return tuple(filterfalse(scene.without_cards.__contains__, scene.parts))
 
     @cached_property
-    def stated_equations(self) -> Mapping[str, Equations]:
-        """Equations of each part with netlist statements, from the method of its type."""
-        stated = self._list_stated_equations.items()
+    def available_equations(self) -> Mapping[str, Equations]:
+        """Equations of each part with netlist statements whose type has equations."""
+        stated = self._equations_by_part.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
     @cached_property
-    def _list_stated_equations(self) -> Mapping[str, Equations | MissingEquations | None]:
-        """Result of the method ``law`` of each part with netlist statements."""
-        parts = map(self.build.scene.parts.__getitem__, self.with_cards)
+    def _equations_by_part(self) -> Mapping[str, Equations | MissingEquations | None]:
+        """Equations of each part with netlist statements, or the reason why there are none."""
+        parts = map(self.build.scene.parts.__getitem__, self.parts_with_cards)
         return {part.name: part.type.law(part, self.build) for part in parts}
 
     @cached_property
-    def reasons(self) -> Mapping[str, str]:
-        """Reason of each part without a law, empty if its type states none."""
-        result = dict.fromkeys(self.missing, "")
-        for name in self.missing:
-            match self._list_stated_equations[name]:
+    def reasons_without_law(self) -> Mapping[str, str]:
+        """Reason why a part has no law, keyed by part; empty if its type gives no reason."""
+        result = dict.fromkeys(self.parts_without_law, "")
+        for name in self.parts_without_law:
+            match self._equations_by_part[name]:
                 case MissingEquations(reason):
                     result[name] = reason
                 case Equations():
@@ -87,12 +87,12 @@ class SceneLaws:
     @cached_property
     def equations(self) -> Mapping[str, Equations]:
         """Equations of each part that has a law."""
-        return {k: v for k, v in self.stated_equations.items() if k not in self._loaded_signals}
+        return {k: v for k, v in self.available_equations.items() if k not in self._loaded_signals}
 
     @cached_property
-    def missing(self) -> tuple[str, ...]:
-        """Names of the parts without a law: the whole scene cannot be integrated."""
-        return tuple(filterfalse(self.equations.__contains__, self.with_cards))
+    def parts_without_law(self) -> tuple[str, ...]:
+        """Names of the parts without a law, which prevent the integration of the whole scene."""
+        return tuple(filterfalse(self.equations.__contains__, self.parts_with_cards))
 
     @cached_property
     def linear(self) -> bool:
@@ -102,30 +102,30 @@ class SceneLaws:
         moves it.
         """
         parts = self.build.scene.parts
-        names = [name for name in self.with_cards if not parts[name].reduced]
-        if not self.stated_equations.keys() >= set(names):
+        names = [name for name in self.parts_with_cards if not parts[name].reduced]
+        if not self.available_equations.keys() >= set(names):
             return False
-        stated = chain.from_iterable(self.stated_equations[name].laws for name in names)
+        stated = chain.from_iterable(self.available_equations[name].laws for name in names)
         return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)
 
     @cached_property
     def laws(self) -> dict[str, Law]:
-        """All laws, keyed by name."""
+        """Laws of all parts, keyed by the name of the law."""
         return _index_laws(self.equations)
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Kind of each pin, keyed by pin of a law."""
+        """Kind of each pin of a law, keyed by the pin ``LAW.PIN``."""
         return list_pin_kinds(self.laws.values())
 
     @cached_property
     def links(self) -> tuple[PinLink, ...]:
         """Pins of the parts with a law, and the corresponding pins of the laws."""
-        return tuple(_list_links(self.build, self.equations))
+        return tuple(_list_pin_links(self.build, self.equations))
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
-        """The networks of the scene.
+        """Networks into which the laws of the scene can be separated.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class SceneLaws:
         return self.networks_with({})
 
     def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Return the networks with further ``sources``, keyed by net."""
+        """Return the networks of the laws and of additional ``sources``, which are keyed by net."""
         results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
@@ -142,12 +142,12 @@ class SceneLaws:
             for key, source in item.sweeps.items():
                 sweeps[name, key] = source
         laws = [*self.laws.values(), *sources.values()]
-        return split_networks(laws, self.joins(sources), results, sweeps)
+        return split_networks(laws, self.join_nets(sources), results, sweeps)
 
-    def joins(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
-        """Return the pins of laws on each net, with ``sources`` on nets of the scene.
+    def join_nets(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
+        """Return the pins of laws and ``sources`` on each net, keyed by net.
 
-        Nets of the scene that share a pin of a law are one net.
+        Nets of the scene that share a pin of a law become one net.
         """
         inside = chain.from_iterable(map(attrgetter("nets"), self.equations.values()))
         by_net: dict[str, set[str]] = {}
@@ -168,10 +168,10 @@ class SceneLaws:
     @cached_property
     def _loaded_signals(self) -> frozenset[str]:
         """Names of the parts that set a signal on a net where a current or a force acts."""
-        laws = _index_laws(self.stated_equations)
+        laws = _index_laws(self.available_equations)
         kinds = list_pin_kinds(laws.values())
         loaded, drivers = set[str](), list[PinLink]()
-        for link in _list_links(self.build, self.stated_equations):
+        for link in _list_pin_links(self.build, self.available_equations):
             if kinds[link.law_pin] != "signal":
                 loaded.add(link.net)
             elif prescribes_value(laws, link.law_pin):
@@ -182,7 +182,7 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Return the results of a part, with a second name ``r.current`` for ``r.i``."""
+    """Return the results of a part, and repeat each flow, such as ``r.i``, as ``r.current``."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:
@@ -191,12 +191,12 @@ def _add_quantity_names(
 
 
 def _index_laws(equations: Mapping[str, Equations]) -> dict[str, Law]:
-    """Return all laws, keyed by name."""
+    """Return the laws of all equations, keyed by the name of the law."""
     laws = chain.from_iterable(map(attrgetter("laws"), equations.values()))
     return {law.name: law for law in laws}
 
 
-def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
+def _list_pin_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
     """Yield the links between pins of parts and pins of laws."""
     nets = build.scene.nets
     for name, item in equations.items():
@@ -204,10 +204,10 @@ def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[Pi
             yield PinLink(nets[name, pin], name, pin, law_pin)
 
 
-def scene_laws(build: Build) -> SceneLaws:
+def get_scene_laws(build: Build) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
-    These are the laws stored in the build (:func:`with_laws`). If the keys or models of a build
+    These are the laws stored in the build (:func:`store_laws`). If the keys or models of a build
     have changed, the laws are created again.
     """
     laws = build.laws
@@ -216,9 +216,9 @@ def scene_laws(build: Build) -> SceneLaws:
     return SceneLaws(build)
 
 
-def with_laws(build: Build) -> Build:
-    """Return a build with stored laws, so that they are created only once."""
-    return replace(build, laws=scene_laws(build))
+def store_laws(build: Build) -> Build:
+    """Return a copy of a build that contains its laws, so that they are created only once."""
+    return replace(build, laws=get_scene_laws(build))
 
 
 def _have_common_parts(a: Build, b: Build) -> bool:

@@ -30,14 +30,16 @@ class Mesh(Section):
 class Damping(Section):
     """Losses of the motion and of the dielectric.
 
-    ``model = "rayleigh"`` is a viscous damping matrix E. With ``E = alpha M + beta K`` and ``beta =
-    2 zeta / omega`` the ratio ``zeta`` (or the quality ``Q = 1/(2 zeta)``, or the loss factor ``2
-    zeta``) holds at ``at``. The default of ``at`` is the first resonance of the body. Two ratios at
-    two frequencies determine alpha and beta: ``zeta = alpha/(2 omega) + beta omega/2``. With
-    ``per_material`` E is the sum of ``K_i/(Q_i omega)`` over the materials i instead.
+    ``model = "rayleigh"`` is the viscous damping matrix ``E = alpha M + beta K``. The key ``at`` is
+    the frequency of the damping ratio ``zeta``, by default the first resonance of the body. Instead
+    of ``zeta``, a Q factor ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. One ratio gives
+    ``beta = 2 zeta / omega``. Two ratios at two frequencies determine alpha and beta: ``zeta =
+    alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of ``K_i/(Q_i omega)``
+    over the materials i.
 
-    ``model = "ieee176"`` means complex constants of IEEE Std 176. Q is the same for all modes,
-    and the stiffness is as stated at ``at``, by default the body's first resonance.
+    ``model = "ieee176"`` means complex constants of IEEE Std 176. The Q factor is the same for all
+    modes. The constants of the materials are their values at the frequency ``at``, by default the
+    first resonance of the body.
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
@@ -75,7 +77,7 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _require_quality_only(self) -> Damping:
-        """Reject keys that contradict damping by the quality factor."""
+        """Reject keys that cannot be combined with damping by Q factors."""
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
@@ -88,7 +90,7 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _require_one_form(self) -> Damping:
-        """Require one of the alternative forms of damping."""
+        """Require exactly one of the alternative keys of damping."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
@@ -141,11 +143,11 @@ class Damping(Section):
         return 0.01 if self.ratio is None else self.ratio
 
     def frequency(self, resonance_hz: float | None) -> float | None:
-        """Frequency [Hz] of the ratio :attr:`zeta`: ``at``, or the body's resonance."""
+        """Return the frequency [Hz] at which the damping ratio is :attr:`zeta`."""
         return resonance_hz if self.at is None else float(np.min(self.at))
 
     def rayleigh(self, resonance_hz: float) -> tuple[float, float]:
-        """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``."""
+        """Return ``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``."""
         if isinstance(self.ratio, tuple):
             return self._solve_two_ratios()
         at = self.frequency(resonance_hz)

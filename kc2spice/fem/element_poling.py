@@ -1,7 +1,7 @@
 """Poling directions of single elements of a mesh, read from a CSV file.
 
 The first line names the columns: ``element, px, py, pz`` or ``x, y, z, px, py, pz``. Lines that
-begin with ``#`` are comments. Vectors have any length except zero.
+begin with ``#`` are comments. The poling vectors have any length except zero.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.untrusted_files import decode_text, read_bounded, split_lines
 
-MAX_FILE_BYTES = 500_000_000  # size of a file
+MAX_FILE_BYTES = 500_000_000  # largest size of a file
 VECTOR_COLUMNS = ("px", "py", "pz")
 COLUMN_LAYOUTS = (("element", *VECTOR_COLUMNS), ("x", "y", "z", *VECTOR_COLUMNS))
 EXPECTED_COLUMNS = " or ".join(map(", ".join, COLUMN_LAYOUTS))
-LISTED_ELEMENTS = 5  # element numbers in an error message
+LISTED_ELEMENTS = 5  # largest number of elements that an error message lists
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class PolingTable(EqualByContent):
     ----------
     where : key of the scene that names the file.
     rows : line number of each row in the file.
-    directions : (rows, 3) polings.
-    numbers : (rows,) element numbers of the mesh file, None if the rows are points.
-    points : (rows, 2 or 3) coordinates in the unit of the mesh, None if the rows are elements.
+    directions : (rows, 3) poling vectors.
+    numbers : (rows,) element numbers of the mesh file, None if the rows contain coordinates.
+    points : (rows, 2 or 3) coordinates in the unit of the mesh, None if the rows contain numbers.
     """
 
     where: str
@@ -47,7 +47,7 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Select the row of each of the elements ``members``.
+        """Return the index of the row that belongs to each of the elements ``members``.
 
         ``numbers`` (elements,) and ``middles`` (elements, d) are the numbers in the mesh file and
         the centres of all elements, in the unit of the mesh.
@@ -84,7 +84,7 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     Raises
     ------
     UsageError : the file is unreadable, columns are wrong, a value is not a number, a vector is
-    zero, an element has two rows, or a vector is outside the plane of an axisymmetric mesh.
+    zero, an element has two rows, or a vector is not in the plane of an axisymmetric mesh.
     """
     try:
         text = decode_text(read_bounded(path, MAX_FILE_BYTES))
@@ -115,12 +115,12 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
 
 
 def compute_centres(mesh: Mesh) -> np.ndarray:
-    """Return the mean (elements, d) of the corners of each element [m]."""
+    """Return the centre (elements, d) [m] of each element: the mean of its corners."""
     return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
 
 
 def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
-    """Find the element of a ``coarse`` mesh that contains the centre of each ``fine`` element."""
+    """Find the element of the mesh ``coarse`` around the centre of each element of ``fine``."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)

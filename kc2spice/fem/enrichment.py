@@ -1,19 +1,17 @@
-"""Shape functions of one degree more than the quadratic ones of a solid.
-
-The mesh is the same.
+"""Cubic shape functions on the mesh of a solid with quadratic shape functions.
 
 The functions are hierarchical: together with the functions of the solid, they span the cubic
 polynomials on triangles and tetrahedra, and the products of cubic polynomials on quadrilaterals.
-Each belongs to an edge, a face or the interior of an element and vanishes at all nodes of the
-solid:
+Each cubic function belongs to an edge, a face or the interior of an element, and is zero at all
+nodes of the solid:
 
     l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
     l_i l_j l_k           on faces of tetrahedra and in triangles
     b_3(x) l(y)           on edges of quadrilaterals, with l(y) = y or 1 - y
     b_3(x) b_2(y), b_2(x) b_3(y), b_3(x) b_3(y)    in quadrilaterals,
 
-with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. Functions of edges change their sign
-with the direction of the edge.
+with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an edge changes its sign
+if the direction of the edge is reversed.
 
 :func:`assemble_enrichment` integrates the matrix entries of the additional functions, which
 :mod:`kc2spice.fem.solid` lacks. Source: B. Szabo and I. Babuska, Finite Element Analysis (1991).
@@ -35,19 +33,18 @@ from skfem.mesh import MeshQuad, MeshTet
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 
-# order of integration, exact for the mass of straight cubic elements of revolution
+# degree of exact integration, sufficient for the mass of axisymmetric straight cubic elements
 INTEGRATION_ORDER = 7
 CHUNK_BYTES = 64e6  # bytes of the element matrices that are computed at once
-# relative change of the derivatives within an element that counts as rounding
+# largest relative change of the derivatives within an element that is a rounding error
 AFFINE_TOLERANCE = 1e-9
 
 
 class ShapeFunction(NamedTuple):
     """Shape function on the reference element: values (points,) and gradients (d, points).
 
-
-
-    ``corners`` are the corners of an edge in its direction, of a triangle or of a quadrilateral.
+    ``corners`` are the corners of the edge, triangle or quadrilateral to which the function
+    belongs. The corners of an edge are in the direction of the edge.
     """
 
     corners: tuple[int, ...]
@@ -57,13 +54,13 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """Shape functions that a solid lacks, and their numbers.
+    """Cubic shape functions of a solid, and their numbers.
 
     Attributes
     ----------
-    functions : on the reference element, at the points of integration.
+    functions : shape functions on the reference element, at the integration points.
     nodes : local numbers of the nodes on the edge, face or interior of each function.
-    numbers, signs : (functions, elements) of each in the solid.
+    numbers, signs : (functions, elements) number and sign of each local function in the solid.
     """
 
     solid: Solid
@@ -74,11 +71,11 @@ class Enrichment:
 
     @property
     def count(self) -> int:
-        """Number of functions that the solid lacks."""
+        """Number of cubic functions of the whole solid."""
         return int(self.numbers.max()) + 1
 
-    def dielectric(self) -> np.ndarray:
-        """Mask (count,) of the enrichment functions in piezoelectric and dielectric materials."""
+    def mask_dielectric_functions(self) -> np.ndarray:
+        """Return a mask (count,) of the functions in piezoelectric and dielectric materials."""
         field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
@@ -87,13 +84,14 @@ class Enrichment:
 
 @dataclass(frozen=True, eq=False)
 class EnrichedOperators:
-    """Matrices between selected functions, and between these functions and all nodes.
+    """Matrices between selected cubic functions, and between these functions and all nodes.
 
-    ``K`` belongs to displacements of functions, ``C`` to displacements and potentials of functions,
-    ``P`` to potentials of functions; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes``
-    have displacements of functions as rows and the unknowns of all nodes as columns, ``D_nodes``
-    and ``P_nodes`` the potentials of functions as rows and displacements and potentials of nodes as
-    columns.
+    The unknowns of cubic functions are displacements and potentials. ``K`` is the stiffness between
+    displacements, ``C`` the coupling of displacements and potentials, ``P`` the permittivity
+    between potentials, and ``M`` the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have a row for
+    each displacement of a function and a column for each unknown of a node. ``D_nodes`` and
+    ``P_nodes`` have a row for each potential of a function. Their columns are the displacements and
+    the potentials of nodes.
     """
 
     K: sparse.csr_array
@@ -106,13 +104,13 @@ class EnrichedOperators:
     P_nodes: sparse.csr_array
     M_nodes: sparse.csr_array
 
-    def scaled(self, factor: float) -> EnrichedOperators:
-        """All matrices times a factor."""
+    def scale(self, factor: float) -> EnrichedOperators:
+        """Return all matrices times a factor."""
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
 def make_enrichment(solid: Solid) -> Enrichment:
-    """Return the functions of one degree more on the mesh of a solid."""
+    """Return the cubic functions on the mesh of a solid."""
     functions = evaluate_shape_functions(solid, _make_basis(solid, np.array([0])).X)
     numbers, signs = _number_functions(solid, functions)
     return Enrichment(solid, functions, _find_entity_nodes(solid, functions), numbers, signs)
@@ -121,17 +119,17 @@ def make_enrichment(solid: Solid) -> Enrichment:
 def assemble_enrichment(
     enrichment: Enrichment, free: np.ndarray, live: np.ndarray
 ) -> EnrichedOperators:
-    """Integrate the matrices of selected displacements and potentials of functions.
+    """Integrate the matrices of selected unknowns of the cubic functions.
 
-    Masks select the displacements ``free`` (count, d) and the potentials ``live`` (count,).
+    The mask ``free`` (count, d) selects displacements, and the mask ``live`` (count,) potentials.
     """
     solid, d = enrichment.solid, enrichment.solid.components
     nodes, size = solid.basis(1).element_dofs, solid.places.shape[1]
     unknowns = {
         ("nodes", 0): np.arange(size * d).reshape(size, d),
         ("nodes", 1): np.arange(size)[:, None],
-        ("functions", 0): _number_selected(free),
-        ("functions", 1): _number_selected(live[:, None]),
+        ("functions", 0): _number_selected_entries(free),
+        ("functions", 1): _number_selected_entries(live[:, None]),
     }
     local = {"nodes": slice(len(nodes)), "functions": slice(len(nodes), None)}
     parts = slice(d), slice(d, None)
@@ -147,7 +145,7 @@ def assemble_enrichment(
     }
     table = _tabulate_functions(solid, _make_basis(solid, np.array([0])).X, enrichment.functions)
     for material, cells in _split_chunks(solid, len(table), len(enrichment.functions)):
-        S, M = _element_matrices(solid, material, cells, table, len(nodes))
+        S, M = _compute_element_matrices(solid, material, cells, table, len(nodes))
         numbers, sign = enrichment.numbers[:, cells].T, enrichment.signs[:, cells].T
         here = {"nodes": nodes[:, cells].T, "functions": numbers}
         for matrix in (S, M[:, :, None, :, None]):
@@ -176,17 +174,16 @@ def assemble_enrichment(
 
 def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
     if isinstance(solid.mesh, MeshTet):
-        return solid.basis(quadrature=_conical_product_rule(INTEGRATION_ORDER), elements=cells)
+        return solid.basis(quadrature=_make_tetrahedron_rule(INTEGRATION_ORDER), elements=cells)
     return solid.basis(INTEGRATION_ORDER, elements=cells)
 
 
-def _conical_product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (3, points) and weights on a tetrahedron, by Gauss-Jacobi rules.
+def _make_tetrahedron_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return integration points (3, points) and weights (points,) on a tetrahedron.
 
-    The points and weights are a product of these rules.
-
-    The rules of scikit-fem for tetrahedra are exact up to order 4 only. Source: A. H. Stroud,
-    Approximate Calculation of Multiple Integrals (1971), section 2.5.
+    The rule is a product of Gauss-Jacobi rules. The rules of scikit-fem for tetrahedra are exact
+    only for polynomials of degree up to 4. Source: A. H. Stroud, Approximate Calculation of
+    Multiple Integrals (1971), section 2.5.
     """
     count = order // 2 + 1
     rules = [roots_jacobi(count, alpha, 0.0) for alpha in (2, 1, 0)]
@@ -197,17 +194,16 @@ def _conical_product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
-    """Evaluate the functions of one degree more at points of the reference element.
-
-    The points are ``X`` (d, points).
-    """
+    """Evaluate the cubic functions at the points ``X`` (d, points) of the reference element."""
     on_element = (
-        _quadrilateral_functions if isinstance(solid.mesh, MeshQuad) else _simplex_functions
+        _evaluate_quadrilateral_functions
+        if isinstance(solid.mesh, MeshQuad)
+        else _evaluate_simplex_functions
     )
     return on_element(np.asarray(solid.element.refdom.p, float), X)
 
 
-def _simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+def _evaluate_simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
     inverse = np.linalg.inv(np.vstack([np.ones(corners.shape[1]), corners]))
     value, slope = inverse @ np.vstack([np.ones(X.shape[1]), X]), inverse[:, 1:, None]
     result = []
@@ -222,7 +218,7 @@ def _simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction
     return result
 
 
-def _quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
     ends = [1 - X, X], [-np.ones(X.shape), np.ones(X.shape)]
     square, square_slope = X * (1 - X), 1 - 2 * X
     cube, cube_slope = square * (2 * X - 1), -1 + 6 * X - 6 * X**2
@@ -247,8 +243,8 @@ def _number_functions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number the functions of all elements, and determine their signs.
 
-    Both results are (local functions, elements). Functions of neighbours on one edge or face share
-    a number.
+    Both results are (local functions, elements). On an edge or face between two elements, the
+    functions of both elements have the same number.
     """
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
     element = np.arange(corners.shape[1])
@@ -264,7 +260,7 @@ def _number_functions(
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
-    """Local numbers of the nodes on the edge, face or interior of each function."""
+    """Return the local numbers of the nodes on the edge, face or interior of each function."""
     places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
     result = []
     for function in functions:
@@ -281,9 +277,10 @@ def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list
 def _tabulate_functions(
     solid: Solid, X: np.ndarray, functions: Sequence[ShapeFunction]
 ) -> np.ndarray:
-    """Tabulate gradients on the reference element and values of all functions.
+    """Return the gradients and values of all local functions on the reference element.
 
-    The result is (local functions, d + 1, points). The functions of nodes are first.
+    The result is (local functions, d + 1, points). The functions of nodes come first, and the value
+    of a function is its last row.
     """
     element, rows = solid.element, []
     for i in range(len(element.doflocs)):
@@ -302,16 +299,15 @@ def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Materia
             yield material, cells[start : start + count]
 
 
-def _element_matrices(
+def _compute_element_matrices(
     solid: Solid, material: Material, cells: np.ndarray, table: np.ndarray, n: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the matrices S and M of elements of one material.
 
-    S is (elements, more functions, fields, functions, fields), and M is (elements, more functions,
-    functions). Both matrices follow from products of gradients on the reference element. The n
-    functions of nodes are first.
-
-    Without coupling and permittivity the fields are the displacements only.
+    S is (elements, cubic functions, fields, functions, fields), and M is (elements, cubic
+    functions, functions). The ``n`` functions of nodes precede the cubic functions. The fields are
+    the displacements and, in piezoelectric and dielectric materials, the potential. The matrices
+    are computed from products of gradients on the reference element.
     """
     rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
@@ -329,14 +325,14 @@ def _element_matrices(
     if even and not solid.axisymmetric:  # one product of gradients for all points
         pairs = np.tensordot(weights[0] / weights[0].sum(), pairs, 1)[None]
         weights, inverse, constants = weights.sum(axis=1)[:, None], inverse[:, :1], constants[:1]
-    D = _reference_tensor(solid, material, weights, inverse, constants, radius)
+    D = _compute_reference_tensor(solid, material, weights, inverse, constants, radius)
     fields = D.shape[2]
     D = D.transpose(0, 2, 4, 1, 3, 5).reshape(len(cells) * fields**2, -1)
     S = (D @ pairs.reshape(D.shape[1], -1)).reshape(-1, fields, fields, *pairs.shape[-2:])
     return np.ascontiguousarray(S.transpose(0, 3, 1, 4, 2)), M
 
 
-def _reference_tensor(
+def _compute_reference_tensor(
     solid: Solid,
     material: Material,
     weights: np.ndarray,
@@ -346,8 +342,8 @@ def _reference_tensor(
 ) -> np.ndarray:
     """Compute second derivatives of the energy with respect to gradients on the reference element.
 
-    The result is (elements, points, field, m, field, m) with the gradients m of each field. For
-    axisymmetric solids the value is last.
+    The result is (elements, points, field, m, field, m) for the m components of the gradient of
+    each field. In axisymmetric solids, the last component is the value of the field.
     """
     d = solid.components
     field = material.piezoelectric or material.dielectric
@@ -371,7 +367,7 @@ def _reference_tensor(
     result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
     result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
     sigma = np.array(material.residual_stress)
-    # term grad v . sigma grad u of each component, and rotation of the hoop direction
+    # prestress: grad v . sigma grad u of each component, and rotation of the hoop direction
     if sigma.any():
         stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
         for k in range(d):
@@ -381,21 +377,22 @@ def _reference_tensor(
     return result
 
 
-def _number_selected(mask: np.ndarray) -> np.ndarray:
-    """Return consecutive numbers of the selected entries of a mask, -1 for all others."""
+def _number_selected_entries(mask: np.ndarray) -> np.ndarray:
+    """Number the selected entries of a mask consecutively; all other entries get -1."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
 def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Look up the unknowns of functions by their numbers; -1 means no function.
+    """Look up the unknowns of functions by the numbers of the functions.
 
-    The result is (elements, local functions times components).
+    The result is (elements, local functions times components). Unknowns that are not selected are
+    -1.
     """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 
 
 class _SparseSum:
-    """Sparse matrix that sums matrices of elements."""
+    """Sparse matrix to which the matrices of elements are added."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.matrix = sparse.csr_array(shape)

@@ -1,13 +1,14 @@
 """Heat conduction in solids: matrices over the nodes of a mesh.
 
-Weak form of ``rho c T' = div(k grad T) + p`` with the heat flow ``h (T - T_film)`` [W/m^2] through
-faces with a film, for the temperature T on the nodes of a scalar element:
+The equation of heat conduction is ``rho c T' = div(k grad T) + p``. The heat flow through a face
+with a film is ``h (T - T_film)`` [W/m^2]. The weak form has these matrices for the temperatures T
+of the nodes:
 
     E   = int rho c v T          K = int grad v . k grad T          H = int v T over faces
 
-Axisymmetric integrals are over the full turn. In one dimension the cross-section of every element
-is ``areas``. An interface with the resistance r [m^2 K/W] is two sets of nodes with the heat flow
-``(T_a - T_b) / r`` between them.
+Axisymmetric integrals extend over the full turn. In one dimension, ``areas`` are the cross-sections
+of the elements. An interface with the resistance r [m^2 K/W] consists of two sets of nodes, between
+which the heat flow ``(T_a - T_b) / r`` passes.
 
 Source: J. N. Reddy, D. K. Gartling, The Finite Element Method in Heat Transfer and Fluid Dynamics,
 3rd ed., CRC Press 2010, chapter 3.
@@ -26,9 +27,9 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
-MAX_CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
-INSIDE_TOLERANCE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
-NEWTON_STEPS = 20  # more iterations than any point inside a cell needs
+MAX_CANDIDATES = 50  # number of nearest elements in which a point is searched
+INSIDE_TOLERANCE = 1e-6  # rounding error of a point's local coordinates in an element
+NEWTON_STEPS = 20  # more iterations than any point inside an element needs
 FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
@@ -48,20 +49,23 @@ class HeatSolid:
         """Number of nodes."""
         return int(self.geometry.places.shape[1])
 
-    def measure(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
-        """Weights (cells, points) of integrals in three dimensions."""
+    def compute_weights(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
+        """Return the weights (cells, points) of volume integrals."""
         weights = np.asarray(basis.dx)
         if self.geometry.axisymmetric:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         return weights if self.areas is None else weights * self.areas[cells, None]
 
-    def cells_of(self, facets: np.ndarray) -> np.ndarray:
-        """Elements on the first side of facets."""
+    def find_cells(self, facets: np.ndarray) -> np.ndarray:
+        """Return the elements on the first side of each of the ``facets``."""
         return np.asarray(self.geometry.mesh.f2t[0, facets])
 
 
-def local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield values (cells, l) and gradients (cells, d, l) of shape functions at each point."""
+def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the shape functions at each integration point of a basis.
+
+    Each item consists of values (cells, l) and gradients (cells, d, l).
+    """
     local = [function[0] for function in basis.basis]
     for q in range(basis.X.shape[-1]):
         value = [np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local]
@@ -69,7 +73,7 @@ def local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray
 
 
 def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
-    """Yield materials with at most ``CHUNK_SIZE`` of their elements."""
+    """Yield each material with groups of at most ``CHUNK_SIZE`` of its elements."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
         for start in range(0, len(cells), CHUNK_SIZE):
@@ -83,8 +87,8 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
         basis = solid.geometry.basis(elements=cells)
         k = material.conductivity[solid.geometry.axes][:, None]
         e_cell, k_cell = np.zeros(()), np.zeros(())
-        weights = solid.measure(basis, cells).T[:, :, None, None]
-        for (N, G), w in zip(local_functions(basis), weights, strict=True):
+        weights = solid.compute_weights(basis, cells).T[:, :, None, None]
+        for (N, G), w in zip(list_local_functions(basis), weights, strict=True):
             e_cell = e_cell + w * material.capacity * N[:, :, None] * N[:, None]
             k_cell = k_cell + w * (G.transpose(0, 2, 1) @ (k * G))
         nodes = basis.element_dofs.T
@@ -96,19 +100,20 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return H [m^2] (nodes, nodes) of faces; its sum is their area."""
+    """Return the matrix H (nodes, nodes) [m^2] of faces; the sum of its entries is the area."""
     basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
-    weights, nodes = solid.measure(basis, solid.cells_of(facets)), basis.element_dofs.T
+    weights, nodes = solid.compute_weights(basis, solid.find_cells(facets)), basis.element_dofs.T
     matrix = np.zeros(())
-    for (N, _), w in zip(local_functions(basis), weights.T[:, :, None, None], strict=True):
+    for (N, _), w in zip(list_local_functions(basis), weights.T[:, :, None, None], strict=True):
         matrix = matrix + w * N[:, :, None] * N[:, None]
     return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
 
 
 def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> np.ndarray:
-    """Return coordinates (axes, 1) of a point in a cell, by Newton's method from its middle.
+    """Compute the local coordinates (axes, 1) of a point in a cell by Newton's method.
 
-    The iteration ends without convergence for points far outside of a distorted cell.
+    The iteration starts in the middle of the cell. For a point far outside of a distorted cell, the
+    iteration ends without convergence.
     """
     mapping, which = mesh.mapping(), np.array([cell])
     places = np.asarray(point, float)[:, None, None]
@@ -124,7 +129,10 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
 
 
 def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
-    """Return values (nodes,) of the shape functions at a point, or the nearest node outside."""
+    """Return the values (nodes,) of the shape functions at a point.
+
+    For a point outside of the mesh, only the value of the nearest node is not zero.
+    """
     geometry, result = solid.geometry, np.zeros(solid.count)
     mesh = geometry.mesh
     centres = mesh.p[:, mesh.t].mean(axis=1)
@@ -135,7 +143,7 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
         total = local.sum() if simplex else local.max()
         if local.min() >= -INSIDE_TOLERANCE and total <= 1 + INSIDE_TOLERANCE:
             basis = geometry.basis(elements=np.array([cell]), quadrature=(local, np.ones(1)))
-            values, _ = next(local_functions(basis))
+            values, _ = next(list_local_functions(basis))
             result[basis.element_dofs[:, 0]] = values[0]
             return result
     result[np.argmin(np.linalg.norm(geometry.places.T - point, axis=1))] = 1.0
@@ -143,10 +151,10 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
 
 
 def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
-    """Return the mesh with double nodes on inner ``facets``.
+    """Return the mesh with two nodes in place of each node on inner ``facets``.
 
-    Elements around a node keep a common node if other faces connect them, as at the tip of a
-    crack.
+    Two elements keep a common node if they are connected by faces that are not in ``facets``, as
+    around the tip of a crack.
     """
     numbers = np.array(geometry.basis(1).element_dofs)
     count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
@@ -173,14 +181,14 @@ def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 
 
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return ``int (v_a - v_b) (T_a - T_b)`` [m^2] between the two sides of inner ``facets``."""
+    """Return the matrix of ``int (v_a - v_b) (T_a - T_b)`` [m^2] across inner ``facets``."""
     geometry = solid.geometry
     first, second = (
         geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
     )
     nodes = np.vstack([first.element_dofs, second.element_dofs]).T
-    weights, matrix = solid.measure(first, solid.cells_of(facets)), np.zeros(())
-    functions = zip(local_functions(first), local_functions(second), strict=True)
+    weights, matrix = solid.compute_weights(first, solid.find_cells(facets)), np.zeros(())
+    functions = zip(list_local_functions(first), list_local_functions(second), strict=True)
     for ((N, _), (M, _)), w in zip(functions, weights.T[:, :, None, None], strict=True):
         jump = np.concatenate([N, -M], axis=1)
         matrix = matrix + w * jump[:, :, None] * jump[:, None]
@@ -188,7 +196,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
 
 
 def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the faces between elements of the first and of the second set."""
+    """Return the faces between elements of a first set and elements of a second set."""
     sides = geometry.mesh.f2t
     inner = sides[1] >= 0
     a, b = np.isin(sides, first), np.isin(sides, second)
@@ -196,7 +204,7 @@ def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) ->
 
 
 def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
-    """Return the node numbers on faces; a double face has the nodes of its first side."""
+    """Return the numbers of the nodes on faces; at a double face, those on its first side."""
     basis = geometry.facet_basis(facets, 2)
-    values = np.max([np.abs(N) for N, _ in local_functions(basis)], axis=0)
+    values = np.max([np.abs(N) for N, _ in list_local_functions(basis)], axis=0)
     return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

@@ -1,24 +1,27 @@
 """Force, flux and inductance of the electromagnetic catch over the height of the sphere.
 
-The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, smooth and
-even in r, so the axis needs no condition. With ``b(a) = 2 a + r da/dr`` the field is ``B_y =
-b(a)``, ``B_r = -r da/dy`` and the potential energy ::
+The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, where A_phi
+is the vector potential. It is smooth and even in r, so no boundary condition is necessary on the
+axis. With ``b(a) = 2 a + r da/dr``, the field is ``B_y = b(a)``, ``B_r = -r da/dy``. The potential
+energy is ::
 
     P(a) = 1/2 int nu (B_r^2 + B_y^2) dV - int nu B_rem b(a) dV - int J r a dV,   dV = 2 pi r dr dy
 
-is least at the solution; ``a = 0`` on the air cylinder (paper 2.2.1). The force on the sphere is
-``-dP/dy``, with the air around it stretched by a weight g (1 on the sphere, 0 on the mover's
-outline). This virtual work of the discrete energy equals the Maxwell stress averaged over a thick
-shell (Henrotte, Deliege, Hameyer: The eggshell approach, COMPEL 23(4), 2004).
+The solution has the smallest P, with ``a = 0`` on the air cylinder (paper 2.2.1). The force on the
+sphere is ``-dP/dy``. In this derivative, the air around the sphere moves by g dy, where the weight
+g is 1 on the sphere and 0 on the mover's outline. This virtual work of the discrete energy equals
+the Maxwell stress averaged over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach,
+COMPEL 23(4), 2004).
 
 The materials are linear, so the fields of four sources superpose at each height: ring magnet,
 sphere magnet, and a current in each coil. One factorisation and four right-hand sides give the
 result for every current (paper 2.2.1 solves 369 cases instead). All elements are assembled once.
 
-A new mesh for each position of the sphere would cost time and add noise to the force. Instead the
-box around the sphere (the *mover*) is meshed once, symmetric about its equator. The other region
-(the *stator*) is also meshed once, with a regular lattice in the bore. The mover's outline has the
-lattice's nodes. At each lattice point of the sphere, the mover replaces cells of the lattice.
+A new mesh for each position of the sphere would cost time and add noise to the force. Therefore the
+box around the sphere (the *mover*) is meshed only once, symmetric about the sphere's equator. The
+other region (the *stator*) is also meshed once, with a regular lattice in the bore. The nodes on
+the mover's outline are nodes of the lattice. At each height of the sphere, the mover replaces cells
+of the lattice.
 """
 
 from __future__ import annotations
@@ -47,9 +50,9 @@ from kc2spice.linalg.factor import Factor, factorise_supernodal
 # smallest number of heights that are also solved on a mesh with elements of twice the size
 MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # indices of loads and of their fields
-# Mesh sizes at refine = 1 as fractions of the sphere's radius, and their growth with distance. The
-# force error is then within 1e-5 of the largest force. The mesh around the parts matters most: an
-# uneven mesh in the far field of the sphere causes a spurious force on the sphere.
+# Mesh sizes at refine = 1 as fractions of the sphere's radius, and their growth with distance. With
+# these sizes, the force error is within 1e-5 of the largest force. The mesh around the parts has
+# the largest effect: an uneven mesh in the far field of the sphere causes a spurious force.
 _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
     1 / 8,
     1 / 8,
@@ -70,18 +73,18 @@ def compute_catch_table(
     Raises
     ------
     UsageError : the sphere leaves the air cylinder, or a part is higher.
-    SimulationError : a field that does not satisfy its equations.
+    SimulationError : a field does not satisfy its equations.
     """
     positions = count_compared_positions(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
-    rough = catch.model_copy(update=settings)  # finer than any key permits
+    rough = catch.model_copy(update=settings)  # not possible by the keys of a scene
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
 def count_compared_positions(count: int) -> int:
-    """Choose a number of heights for the comparison with a coarser mesh.
+    """Choose the number of heights at which the field is compared with a coarser mesh.
 
-    At least five of ``count`` equally spaced heights are chosen, also equally spaced.
+    The number is at least five. The chosen heights are equally spaced among ``count`` heights.
     """
     return next(
         (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
@@ -98,11 +101,11 @@ def _sweep_heights(
     unknowns = 0
     for done, (index, equations_at) in enumerate(assemble_heights(catch, radius), 1):
         fields = equations_at.solve(equations_at.loads)
-        forces[index] = equations_at.force(fields)
+        forces[index] = equations_at.compute_force_matrix(fields)
         fluxes[index] = (equations_at.loads.T @ fields)[[LOWER, UPPER]]
         unknowns = max(unknowns, equations_at.free.size)
         progress(done / y.size)
-    sign = ring_direction(catch)
+    sign = get_ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
     magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
@@ -125,18 +128,18 @@ def _sweep_heights(
 
 
 def list_sphere_heights(catch: Catch) -> np.ndarray:
-    """Heights of the sphere's centre [m] in the table."""
+    """Return the heights of the sphere's centre [m] in the table."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
-def ring_direction(catch: Catch) -> float:
-    """Direction of the ring's magnetisation relative to the sphere's, which is +y."""
+def get_ring_direction(catch: Catch) -> float:
+    """Return the direction of the ring's magnetisation: 1 along the sphere's (+y), otherwise -1."""
     return 1.0 if catch.polarity == "parallel" else -1.0
 
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Equations at one height: ``matrix a = loads`` on the ``free`` unknowns of all n."""
+    """Equations at one height: ``matrix a = loads`` for the ``free`` unknowns among n unknowns."""
 
     matrix: sparse.csc_array
     loads: np.ndarray  # (n, 4)
@@ -152,24 +155,24 @@ class FieldEquations:
         SimulationError : the fields do not satisfy their equations.
         """
         a = np.zeros(loads.shape)
-        # Minimum degree ordering, because nested dissection would cost more than these factors.
+        # minimum degree ordering, because nested dissection would cost more than the factorisation
         factor = Factor(self.matrix, factorise_supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 
-    def force(self, a: np.ndarray) -> np.ndarray:
-        """Compute the form (k, k) [N] of the force by fields ``a`` (n, k).
+    def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
+        """Compute the matrix ``Q`` (k, k) [N] of the force by fields ``a`` (n, k).
 
-        The force for amplitudes q is ``q' form q``.
+        For fields with amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
 
 
 def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
-    """Yield index and equations of each height.
+    """Yield the index and the equations of each height.
 
-    Heights on one lattice share their meshes.
+    Heights that differ by a multiple of the lattice's pitch have the same meshes.
     """
     y = list_sphere_heights(catch)
     pitch = choose_lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
@@ -184,12 +187,13 @@ def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEq
 
 @dataclass(frozen=True, eq=False)
 class ElementMatrices:
-    """Element matrices of one mesh with the rows and columns of their entries.
+    """Element matrices of one mesh, and the rows and columns of their entries.
 
-    ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``.
+    The entries ``local[:, e]`` of element e are in the rows ``rows[:, e]`` and columns
+    ``cols[:, e]`` of the assembled matrix.
     """
 
-    points: np.ndarray  # (2, n): places of the unknowns [m]
+    points: np.ndarray  # (2, n): positions of the unknowns [m]
     rows: np.ndarray
     cols: np.ndarray
     local: np.ndarray
@@ -199,8 +203,8 @@ class ElementMatrices:
 def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations]:
     """Mesh and assemble stator and mover for the lattice ``bore``.
 
-    The result is a function of the height [m] of the sphere's centre, a lattice point, that
-    returns the equations at this height.
+    The result is a function. Its argument is the height [m] of the sphere's centre, which must be a
+    lattice point, and it returns the equations at this height.
     """
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
@@ -208,8 +212,8 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # the air carries the force where the weight g varies (1 in the sphere, 0 on the rim, harmonic
-    # between); the force is -1/2 a' stretch a [N]
+    # The force is -1/2 a' stretch a [N]. It is evaluated in the air where the weight g varies: g is
+    # 1 in the sphere, 0 on the mover's outline, and harmonic in between.
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
@@ -221,7 +225,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
 
     mesh = mesh_stator(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    (r, y), boxes = centres, list(map(rectangle, actuator_sections(catch)))
+    (r, y), boxes = centres, list(map(get_section, list_actuator_sections(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
     sources = {RING: (_remanence_load, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
@@ -229,7 +233,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
         sources[column] = (_current_load, density, inside)
     stator = _assemble_mesh(catch, mesh, ring, sources)
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
-    _, low, right, high = air_section(catch)
+    _, low, right, high = get_air_section(catch)
     r, y = stator.points
     edge = 1e-9 * (high - low)
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
@@ -271,9 +275,9 @@ def _assemble_mesh(
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
 ) -> ElementMatrices:
-    """Assemble a mesh with a ``magnet`` and its ``sources`` by column.
+    """Assemble a mesh with the elements ``magnet``, and the loads of ``sources``.
 
-    A source is a form, a size, and elements.
+    Each source has a column of the loads, and consists of a linear form, a factor, and elements.
     """
     basis = _make_basis(mesh)
     loads = np.zeros((basis.N, 4))
@@ -289,7 +293,7 @@ def _assemble_mesh(
 def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
     """Return a finite-element basis with a quadrature rule that is exact to degree 5.
 
-    The integration order is the degree of the integrands on straight triangles.
+    On straight triangles, the integrands are polynomials of degree 5.
     """
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
 
@@ -303,7 +307,7 @@ def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Derivative of the stiffness if points move by g in y."""
+    """Return the derivative of the stiffness if all points move by ``g`` in the direction y."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     shear = g_r * r * (u.grad[1] * bv + bu * v.grad[1])
@@ -312,27 +316,28 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """``int b(v) dV``: the load of an axial ``nu B_rem`` of 1 A/m."""
+    """Return ``int b(v) dV``, the load of an axial ``nu B_rem`` of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
 def _current_load(v: Any, w: Any) -> np.ndarray:
-    """Load of 1 A/m^2, ``int A_phi 2 pi r dr dy``.
+    """Return ``int A_phi 2 pi r dr dy``, the load of a current density of 1 A/m^2.
 
-    The same vector gives the flux linkage of one turn/m^2.
+    The product of this load and a field is the flux linkage of one turn/m^2.
     """
     return 2 * pi * w.x[0] ** 2 * v
 
 
 @dataclass(frozen=True)
 class Bore:
-    """The regular lattice that the sphere moves in; lengths in m.
+    """Regular lattice of cells in which the sphere moves; lengths in m.
 
-    ``bottom`` is the lattice's lowest line and ``rows`` its number of cells of height ``pitch``;
-    ``columns`` cells reach from the axis to ``wall``. The mover spans ``half`` up and down from the
-    sphere's centre. ``size`` is the unit of the fractions of mesh sizes above.
+    ``bottom`` is the lowest line of the lattice, which consists of ``rows`` rows of cells with the
+    height ``pitch``. In each row, ``columns`` cells extend from the axis to ``wall``. The mover
+    extends by ``half`` above and below the sphere's centre. All mesh sizes are fractions of
+    ``size``.
     """
 
     radius: float
@@ -345,19 +350,19 @@ class Bore:
     size: float
 
 
-def actuator_sections(catch: Catch) -> tuple[Ring, Ring, Ring]:
-    """Ring magnet, lower coil, upper coil."""
+def list_actuator_sections(catch: Catch) -> tuple[Ring, Ring, Ring]:
+    """Return the sections of the ring magnet, the lower coil and the upper coil."""
     return catch.ring, catch.lower, catch.upper
 
 
-def rectangle(part: Ring) -> tuple[float, float, float, float]:
-    """Section of a part: r_min, y_min, r_max, y_max [m]."""
+def get_section(part: Ring) -> tuple[float, float, float, float]:
+    """Return the section of a part: r_min, y_min, r_max, y_max [m]."""
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
 
-def air_section(catch: Catch) -> tuple[float, float, float, float]:
-    """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
-    boxes = list(map(rectangle, actuator_sections(catch)))
+def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
+    """Return the section of the air cylinder, centred on the actuator (paper 2.2.1)."""
+    boxes = list(map(get_section, list_actuator_sections(catch)))
     _, bottoms, _, tops = zip(*boxes, strict=True)
     low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
@@ -369,24 +374,24 @@ def air_section(catch: Catch) -> tuple[float, float, float, float]:
 
 
 def choose_lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
-    """Choose a height of cells [m] of which ``spacing`` is a multiple or a divisor."""
-    target = min(_LATTICE_SIZE * radius, _narrowest_gap(catch, radius)) / catch.refine
+    """Choose a height of lattice cells [m] that is a multiple or a fraction of ``spacing``."""
+    target = min(_LATTICE_SIZE * radius, _compute_narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
 def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
-    """Make the lattice for centres of the sphere from ``lowest`` to ``highest``.
+    """Make the lattice for heights of the sphere's centre from ``lowest`` to ``highest``.
 
     Raises
     ------
     UsageError : the sphere leaves the air cylinder.
     """
-    gap = _narrowest_gap(catch, radius)
+    gap = _compute_narrowest_gap(catch, radius)
     wall = radius + gap / 2
     half = pitch * ceil(wall / pitch)
     bottom, top = lowest - half, highest + half
-    _, floor, _, ceiling = air_section(catch)
+    _, floor, _, ceiling = get_air_section(catch)
     if bottom <= floor + pitch or top >= ceiling - pitch:
         least, most = floor + half + pitch, ceiling - half - pitch
         expected = f"within {1e3 * least:.4g} mm to {1e3 * most:.4g} mm"
@@ -402,14 +407,14 @@ def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest:
 
 
 def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
-    """Mesh the half plane without a sphere by triangles around the lattice."""
+    """Mesh the meridian half-plane around the lattice with triangles."""
     top = bore.bottom + bore.rows * bore.pitch
-    boxes = list(map(rectangle, actuator_sections(catch)))
-    shapes = [air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
+    boxes = list(map(get_section, list_actuator_sections(catch)))
+    shapes = [get_air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def size(r: float, y: float) -> float:
-        """Return the size of elements at a point."""
+        """Return the size of elements at the point ``r``, ``y``."""
         to_corner = min(hypot(r - a, y - b) for a, b in corners)
         to_part = min(
             hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]
@@ -435,9 +440,8 @@ def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
 def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     """Mesh a box around a sphere at the origin.
 
-    The second result is a mask of the triangles inside the sphere.
-
-    Edges of the sphere's surface are arcs: their mid-nodes lie on the circle.
+    The second result is a mask of the triangles inside the sphere. Triangle edges on the surface of
+    the sphere are curved: their middle nodes lie on the circle.
     """
     outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
     outline += [(0, bore.half), (0, bore.radius)]
@@ -452,7 +456,7 @@ def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
         gmsh.model.mesh.setTransfiniteCurve(lines[2], round(bore.half / bore.pitch) + 1)
         gmsh.model.mesh.setTransfiniteCurve(lines[3], bore.columns + 1)
         points, triangles = _generate_mesh(gmsh, lambda r, y: _SPHERE_SIZE * bore.size)
-    # with the mirror image in y = 0, which shares the nodes on that line
+    # The mesh is completed by its mirror image in y = 0. Both halves share the nodes on this line.
     on_line = np.abs(points[1]) < 1e-9 * np.ptp(points[1])
     points = np.where(on_line, [points[0], np.zeros_like(points[0])], points)
     image = np.arange(points.shape[1])
@@ -469,15 +473,15 @@ def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     return mesh, inside
 
 
-def _narrowest_gap(catch: Catch, radius: float) -> float:
-    """Gap [m] between the sphere and the narrowest part."""
-    return min(map(attrgetter("inner"), actuator_sections(catch))) - radius
+def _compute_narrowest_gap(catch: Catch, radius: float) -> float:
+    """Return the gap [m] between the sphere and the part with the smallest bore."""
+    return min(map(attrgetter("inner"), list_actuator_sections(catch))) - radius
 
 
 def _generate_mesh(
     gmsh: ModuleType, size: Callable[[float, float], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the surfaces of the model: vertices (2, n) and triangles (3, t)."""
+    """Mesh the surfaces of the gmsh model; return vertices (2, n) and triangles (3, t)."""
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: size(x, y))
     gmsh.model.mesh.generate(2)

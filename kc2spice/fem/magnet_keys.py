@@ -21,7 +21,7 @@ from kc2spice.core.quantities import (
 
 
 class Ring(Section):
-    """A body of revolution with rectangular section; ``y`` is its centre."""
+    """Body of revolution with a rectangular section; ``y`` is the height of its centre."""
 
     height: Length = Field(gt=0, description="Axial height of the ring")
     outer: Length = Field(gt=0, description="Outer radius of the ring")

@@ -1,10 +1,10 @@
 """Eddy currents in a conducting body of revolution between coaxial coils: rings and modes.
 
 The body is divided into rings of rectangular section, which are thin below its surfaces if the skin
-depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``.
-L and R are constant in the body's frame. Only the mutual inductances m depend on its height y. With
-the modes of ``R v = rate L v``, ``v' L v = 1``, the body is a set of loops of 1 H and ``rate`` Ohm.
-The coupling of the loops to the coils is ``v' m(y)``.
+depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``. L
+and R are constant. Only the mutual inductances m depend on the height y of the body. With the modes
+``R v = rate L v``, ``v' L v = 1``, the body is equivalent to a set of current loops of 1 H and
+``rate`` Ohm. The coupling of the loops to the coils is ``v' m(y)``.
 """
 
 from __future__ import annotations
@@ -25,44 +25,44 @@ from kc2spice.core.quantities import MU_0
 HEIGHT_NODES = 40  # number of Chebyshev heights at which the couplings are computed
 SELF_DIVISIONS = 24  # divisions of the longer side of a coil, for its self-inductance
 MUTUAL_DIVISIONS = 16  # divisions of the longer side of a section, for the mutual inductance
-MIN_FILL = 0.02  # share of a cell's section that conducts; a ring with less carries no current
-AXIS_CELLS = 4  # cells from the axis within which four points per section are used
+MIN_FILL = 0.02  # smallest conducting share of a section; a ring below this share is omitted
+AXIS_CELLS = 4  # distance from the axis, in cells, below which sections have four points
 GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
-# distance, in longest sides of two sections, from which their mean distance is that of their
-# centres
+# Distance of two sections, relative to their longest side, above which the distance of their
+# centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
 LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
 LAYER_GROWTH = 1.35  # ratio of the thickness of a layer to the thickness of the layer above
-# largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
+# largest number of rings of a sphere if 400 rings are requested; a sphere has no layers at its skin
 MAX_SPHERE_RINGS = 1500
-MAX_RINGS = 3000  # largest number of rings, with dense matrices of 70 MB each
-# number of heights and frequencies at which loops are compared with loops of finer rings
+MAX_RINGS = 3000  # largest number of rings; each dense matrix then has 70 MB
+# number of heights and frequencies at which the loops are compared with loops of finer rings
 COMPARED_HEIGHTS = 5
 SLOPE_STEP = 1e-4  # step of a numerical slope, relative to the range of heights
 
 
-def mutual_inductance(
+def compute_mutual_inductance(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray
 ) -> np.ndarray:
     """Compute the mutual inductance [H] of two coaxial circles; arguments broadcast.
 
     The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
-    The result is infinite if both coincide. Source: Maxwell, A Treatise on Electricity and
+    The result is infinite if the circles coincide. Source: Maxwell, A Treatise on Electricity and
     Magnetism, art. 701.
     """
     from scipy.special import ellipe, ellipkm1
 
     apart = (z - height) ** 2
     across = (r + other) ** 2 + apart
-    # K as a function of 1 - k^2, which is accurate for close circles
+    # K is computed as a function of 1 - k^2, which is accurate also for close circles
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
     result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
     return np.asarray(MU_0 * np.sqrt(across) * result)
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class RingCells:
     """Rings with rectangular sections of the size ``wide`` (n,) times ``tall`` (n,) [m].
 
     The middles of the sections are at ``r`` (n,) and ``z`` (n,). The shares ``filled`` (n,) of the
@@ -79,25 +79,25 @@ class Cells:
     def inductance(self) -> np.ndarray:
         """Inductances (n, n) [H] of currents that are uniform over each section.
 
-        The logarithm in the formula for circles is replaced by its mean over both sections (J. C.
-        Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term is evaluated between the
-        centres of both sections, and near the axis, where it is less smooth, between four points
-        of each section.
+        The formula for circles contains a logarithm, which is replaced by its mean over both
+        sections (J. C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term of the
+        formula is evaluated between the centres of both sections. Near the axis, where this term is
+        less smooth, it is evaluated between four points of each section.
         """
         r, z = self.r, self.z
         logs = self._mean_logarithms
-        result, near = _mean_mutual(r, z, r, z, logs), r < AXIS_CELLS * self.wide
+        result, near = _compute_mean_mutual(r, z, r, z, logs), r < AXIS_CELLS * self.wide
         steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS_POINTS, GAUSS_POINTS)]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             ends = r[near] + u[near], z[near] + v[near], r + s, z + t
-            part += _mean_mutual(*ends, logs[near]) / len(steps) ** 2
+            part += _compute_mean_mutual(*ends, logs[near]) / len(steps) ** 2
         result[near], result[:, near] = part, part.T
         return result
 
     @cached_property
     def _mean_logarithms(self) -> np.ndarray:
-        """Mean logarithms (n, n) of the distance of two sections."""
+        """Mean logarithms (n, n) of the distance between points of two sections."""
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
         longest = np.maximum(self.wide, self.tall)
@@ -105,38 +105,37 @@ class Cells:
         result[~near] = np.log(result[~near])
         a, b = np.nonzero(np.triu(near))
         sides = self.wide[a], self.wide[b], self.tall[a], self.tall[b]
-        result[a, b] = result[b, a] = _mean_log_distance(x[a, b], y[a, b], *sides)
+        result[a, b] = result[b, a] = _compute_mean_log_distance(x[a, b], y[a, b], *sides)
         return result
 
     @cached_property
     def resistance(self) -> np.ndarray:
-        """Resistances (n,) [Ohm] at 1 S/m."""
+        """Resistances (n,) [Ohm] of the rings for a conductivity of 1 S/m."""
         return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
-def _mean_mutual(
+def _compute_mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute :func:`mutual_inductance` (n, m) with mean ``logs`` of the distances."""
+    """Compute :func:`compute_mutual_inductance` (n, m) with mean logarithms ``logs``."""
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
     distance = np.where(same, 1.0, np.hypot(r - other, z - height))
     with np.errstate(divide="ignore", invalid="ignore"):
         between = np.where(
-            same, MU_0 * r * (np.log(8 * r) - 2), mutual_inductance(r, z, other, height)
+            same, MU_0 * r * (np.log(8 * r) - 2), compute_mutual_inductance(r, z, other, height)
         )
     return np.asarray(between + MU_0 * np.sqrt(r * other) * (np.log(distance) - logs))
 
 
-def _mean_log_distance(
+def _compute_mean_log_distance(
     x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
-    """Compute the mean logarithm of the distance of two rectangles.
+    """Compute the mean logarithm of the distance between points of two rectangles.
 
-    The distances of the centres are ``x`` and ``y``.
-
-    The rectangles are ``a`` times ``b`` and ``c`` times ``d``. The mean is the fourth difference of
-    an integral of ``ln(x^2 + y^2) / 2``.
+    The rectangles have the sides ``a``, ``b`` and ``c``, ``d``. Their centres are ``x`` and ``y``
+    apart along the two sides. The mean is the fourth difference of the fourfold integral of
+    ``ln(x^2 + y^2) / 2``.
     """
     result = np.zeros_like(x)
     ends = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
@@ -156,11 +155,11 @@ def divide_section(
     count: int,
     inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     depth: float = np.inf,
-) -> Cells:
+) -> RingCells:
     """Divide a section into about ``count`` nearly square cells.
 
-    Cells below the surfaces are thinner if these cells are not small to the skin ``depth`` [m].
-    The share of a cell that carries current is the part for which ``inside(r, z)`` is true.
+    If the cells are not small compared with the skin ``depth`` [m], there are thinner cells below
+    the surfaces. The part of a cell in which ``inside(r, z)`` is true carries current.
     """
     wide, tall = outer - inner, high - low
     thinnest = depth / LAYERS_PER_DEPTH * np.sqrt(DEFAULT_RINGS / count)
@@ -168,22 +167,22 @@ def divide_section(
         most = min(MAX_SPHERE_RINGS * count / DEFAULT_RINGS, MAX_RINGS)
         count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
-    # at least three layers, because the skin effect is across the thinnest side
+    # at least three layers, because the skin effect occurs across the thinnest side
     across = inner + _divide_length(wide, side, thinnest, 2 if inner else 1)
     along = low + _divide_length(tall, side, thinnest, 2)
-    r, z = _grid_points(_midpoints(across), _midpoints(along))
-    a, b = _grid_points(np.diff(across), np.diff(along))
+    r, z = _make_grid_points(_midpoints(across), _midpoints(along))
+    a, b = _make_grid_points(np.diff(across), np.diff(along))
     if inside is None:
-        return Cells(r, z, a, b, np.ones(r.size))
+        return RingCells(r, z, a, b, np.ones(r.size))
     offsets = (np.arange(16) + 0.5) / 16 - 0.5
-    u, v = _grid_points(offsets * a[0], offsets * b[0])
+    u, v = _make_grid_points(offsets * a[0], offsets * b[0])
     filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
     present = filled > MIN_FILL
-    return Cells(r[present], z[present], a[present], b[present], filled[present])
+    return RingCells(r[present], z[present], a[present], b[present], filled[present])
 
 
-def _grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Coordinates (2, n) of all points of a rectangular grid."""
+def _make_grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the coordinates (2, n) of all points of a rectangular grid."""
     return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
@@ -192,12 +191,11 @@ def _midpoints(edges: np.ndarray) -> np.ndarray:
 
 
 def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Divide a length into cells of about ``side``, and layers below surfaces.
-
-    The layers become thicker with their depth.
+    """Divide a length into cells of about ``side``, and thin layers below surfaces.
 
     There are layers if the cells are thicker than ``thinnest``, the thickness of the first layer.
-    The layers are below the upper surface or below both ``surfaces``.
+    Each layer is thicker than the layer above. If ``surfaces`` is 1, the layers are below the upper
+    end; if it is 2, they are at both ends.
     """
     count = max(3, round(length / side))
     if thinnest >= length / count:
@@ -214,7 +212,7 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
 
 @dataclass(frozen=True)
 class Winding:
-    """Winding with uniform ``turns`` in a rectangle about ``radius`` and ``y``."""
+    """Winding with uniform ``turns`` in a rectangular section centred at ``radius`` and ``y``."""
 
     radius: float
     width: float
@@ -223,44 +221,46 @@ class Winding:
     turns: float
 
     @cached_property
-    def cells(self) -> Cells:
-        """Cells of the section of the ring."""
+    def cells(self) -> RingCells:
+        """Cells into which the section of the winding is divided."""
         half, longest = (self.width / 2, self.height / 2), max(self.width, self.height)
         parts = [
             max(2, round(SELF_DIVISIONS * side / longest)) for side in (self.width, self.height)
         ]
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
         z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
-        r, z = _grid_points(r, z)
+        r, z = _make_grid_points(r, z)
         even = np.ones_like(r)
-        return Cells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
+        return RingCells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
-    def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Compute the mutual inductance [H] with circles (...) by Gauss points."""
+    def couple_circles(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Compute the mutual inductances [H] with circles of radius ``r`` at the heights ``z``."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
         at, height = self.radius + self.width / 2 * x, self.y + self.height / 2 * y
-        result = mutual_inductance(r[..., None, None], z[..., None, None], at[:, None], height)
+        result = compute_mutual_inductance(
+            r[..., None, None], z[..., None, None], at[:, None], height
+        )
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
-    def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
-        """Compute mutual inductances [H] (n,) with a sheet at several heights.
+    def couple_sheet(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
+        """Compute the mutual inductances [H] (n,) with a sheet at several heights.
 
-        The sheet is moved up by ``heights`` (n,).
-
-        The sheet is a winding without width, integrated by Gauss points along it.
+        The sheet is a winding without width. It is moved up by each of the ``heights`` (n,), and
+        integrated with Gauss points along its height.
         """
         x, p = np.polynomial.legendre.leggauss(MUTUAL_DIVISIONS)
         z = heights[:, None] + sheet.y + sheet.height / 2 * x
-        return np.asarray(sheet.turns * self.coupling(np.full_like(z, sheet.radius), z) @ p / 2)
+        return np.asarray(
+            sheet.turns * self.couple_circles(np.full_like(z, sheet.radius), z) @ p / 2
+        )
 
     def couple_winding(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
-        For two equal windings, the result is the self-inductance.
-
-        The inductance of a sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
+        For two equal windings, the result is the self-inductance. Source for the inductance of a
+        sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """
         if other == self and not self.width:
             from scipy.special import ellipe, ellipkm1
@@ -271,19 +271,19 @@ class Winding:
             return float(self.turns**2 * scale * (shape / k2**1.5 - 1))
         if other == self:
             return float(self.turns**2 * self.cells.inductance.mean())
-        return float(other.turns * self.coupling(other.cells.r, other.cells.z).mean())
+        return float(other.turns * self.couple_circles(other.cells.r, other.cells.z).mean())
 
 
 @dataclass(frozen=True, eq=False)
-class Ladder(EqualByContent):
-    """A conducting body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m.
+class LoopModel(EqualByContent):
+    """Conducting body as loops of 1 H and ``rates`` (k,) [Ohm], which are for 1 S/m.
 
-    ``inductance`` (c, c) [H] is the inductance of the coils. ``couplings`` (c, k, degree + 1),
-    with magnets (c + 1, k, degree + 1), are polynomials of ``2 (y - low) / (high - low) - 1``,
-    lowest power first. ``error`` is the largest change of the coils' flux and of the force by more
-    loops, up to ``frequency`` [Hz], relative to the largest. ``rings`` is the number of rings of
-    the body, and ``ring_error`` the error of flux, force and loss that the rings are estimated to
-    cause.
+    ``inductance`` (c, c) [H] is the inductance of the coils. ``couplings`` (c, k, degree + 1), or
+    with magnets (c + 1, k, degree + 1), are coefficients of polynomials in ``2 (y - low) / (high -
+    low) - 1``, lowest power first. ``error`` is the largest effect of additional loops on the flux
+    of the coils and on the force up to ``frequency`` [Hz], relative to the largest values.
+    ``rings`` is the number of rings of the body. ``ring_error`` estimates the error of flux, force
+    and loss that the division into rings causes.
     """
 
     rates: np.ndarray
@@ -298,14 +298,17 @@ class Ladder(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Size and errors of the loops."""
+        """Numbers of rings and loops, and errors of both, keyed by name."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
         return known | {f"{MESH_ERROR_PREFIX}rings": self.ring_error, "loop_error": self.error}
 
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
-        """Compute the effect of the body's currents on coils and force at ``heights`` [m]."""
+        """Compute the effect of the body's currents on the coils at ``heights`` [m].
+
+        The Laplace variable is ``s`` [1/s].
+        """
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
         slopes = np.arange(1, self.couplings.shape[2]) * self.couplings[:, :, 1:]
@@ -320,15 +323,15 @@ class Ladder(EqualByContent):
 class CurrentEffect(EqualByContent):
     """Effect of the body's currents on the coils, per ampere in a coil.
 
-    ``flux`` (c, c, y) [H] is the flux in the coils, which is negative. ``slope`` (c, c, y) [H/m]
-    is its derivative with respect to the height of the first of both coils.
+    ``flux`` (c, c, y) [H] is the reduction of the flux in the coils. ``slope`` (c, c, y) [H/m] is
+    the derivative of ``flux`` for a body whose height changes relative to the first coil only.
     """
 
     flux: np.ndarray
     slope: np.ndarray
 
-    def largest_difference(self, exact: CurrentEffect) -> float:
-        """Largest relative difference of flux, slope, and loss of any coil."""
+    def find_largest_difference(self, exact: CurrentEffect) -> float:
+        """Return the largest relative difference of flux, slope, and loss of any coil."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -336,16 +339,16 @@ class CurrentEffect(EqualByContent):
 
 
 def compare_rings(
-    body: Cells,
-    ladder: Ladder,
+    body: RingCells,
+    ladder: LoopModel,
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Compare loops with a direct solution of the rings of another ``body``.
+    """Compare loops with a direct solution for the rings ``body`` of another division.
 
-    The result is the largest relative difference up to the frequency of the loops, see
-    :meth:`CurrentEffect.largest_difference`.
+    The result is the largest relative difference up to the frequency of the loops, as computed by
+    :meth:`CurrentEffect.find_largest_difference`.
     """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(COMPARED_HEIGHTS)
@@ -361,24 +364,24 @@ def compare_rings(
         exact = CurrentEffect(np.einsum(form, m, currents), np.einsum(form, slope, currents))
         worst = max(
             worst,
-            ladder.compute_effect(heights, 1j * speed, conductivity).largest_difference(exact),
+            ladder.compute_effect(heights, 1j * speed, conductivity).find_largest_difference(exact),
         )
     return worst
 
 
 def _compute_couplings(
-    body: Cells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
+    body: RingCells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
 ) -> np.ndarray:
-    """Mutual inductances (c, y, n) [H] of rings with each coil, and all magnets."""
+    """Compute mutual inductances (c, y, n) [H] of rings with each coil and with all magnets."""
     at = body.r, body.z + heights[:, None]
-    m = [coil.coupling(*at) for coil in coils]
+    m = [coil.couple_circles(*at) for coil in coils]
     if magnets:
-        m.append(sum((magnet.coupling(*at) for magnet in magnets), np.zeros_like(at[1])))
+        m.append(sum((magnet.couple_circles(*at) for magnet in magnets), np.zeros_like(at[1])))
     return np.array(m)
 
 
 def reduce_to_loops(
-    body: Cells,
+    body: RingCells,
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
     low: float,
@@ -386,16 +389,14 @@ def reduce_to_loops(
     conductivity: float,
     frequency: float,
     tolerance: float,
-) -> Ladder:
-    """Reduce a ``body`` to loops at heights up to a ``frequency`` [Hz].
+) -> LoopModel:
+    """Reduce a ``body`` to few current loops.
 
-    The heights are ``low`` to ``high`` [m].
-
-    The turns of ``magnets`` are amperes on their surfaces, and their coupling to the loops is a
-    flux [Wb]. The subspace of the body's currents contains the responses to each coil, and to the
-    magnets, at several heights and frequencies. The number of loops is as small as the
-    ``tolerance`` allows. The loops are the modes in the subspace: their energy and loss are values
-    of possible currents.
+    The loops are accurate at the heights from ``low`` to ``high`` [m] up to a ``frequency`` [Hz].
+    The number of loops is as small as the ``tolerance`` allows. The loops are modes in a subspace
+    of the body's currents. The subspace contains the responses to each coil, and to the magnets, at
+    several heights and frequencies. Each magnet is a winding whose turns are the surface current in
+    amperes, and its coupling to the loops is a flux [Wb].
 
     Raises
     ------
@@ -403,7 +404,7 @@ def reduce_to_loops(
         coil touch.
     """
     nodes, heights = _chebyshev_heights(low, high)
-    inductance = _coil_inductance(coils)
+    inductance = _compute_coil_inductance(coils)
     m = _compute_couplings(body, coils, magnets, heights)
     from scipy.linalg import eigh
 
@@ -415,20 +416,20 @@ def reduce_to_loops(
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
     result = m @ modes @ basis @ turn
     polynomials = _fit_power_series(nodes, result, tolerance)
-    return Ladder(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
+    return LoopModel(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
 
 
-def current_loop(
+def make_current_loop(
     sheets: Sequence[Winding],
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
     low: float,
     high: float,
     tolerance: float,
-) -> Ladder:
-    """Make one loop of a body with the constant currents of ``sheets``.
+) -> LoopModel:
+    """Return a body with one loop, whose current distribution is constant: ``sheets``.
 
-    See :func:`reduce_to_loops` for the other arguments.
+    :func:`reduce_to_loops` describes the other arguments.
 
     Raises
     ------
@@ -438,35 +439,36 @@ def current_loop(
     nodes, heights = _chebyshev_heights(low, high)
 
     def linked_flux(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the flux of all sheets through a winding."""
+        """Return the flux of all sheets through ``windings``."""
         return sum(
-            starmap(Winding.through, product(windings, sheets, (heights,))), np.zeros(HEIGHT_NODES)
+            starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
+            np.zeros(HEIGHT_NODES),
         )
 
     m = [linked_flux([coil]) for coil in coils]
     if magnets:
         m.append(linked_flux(magnets))
     polynomials = _fit_power_series(nodes, np.array(m)[:, :, None], tolerance)
-    return Ladder(np.empty(0), polynomials, _coil_inductance(coils), low, high, 0.0, 0)
+    return LoopModel(np.empty(0), polynomials, _compute_coil_inductance(coils), low, high, 0.0, 0)
 
 
 def _chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return Chebyshev points from -1 to 1, and the corresponding heights [m]."""
+    """Return the Chebyshev points between -1 and 1, and the corresponding heights [m]."""
     nodes = chebyshev.chebpts1(HEIGHT_NODES)
     return nodes, low + (nodes + 1) * (high - low) / 2
 
 
-def _coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
+def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
     return np.array([list(map(a.couple_winding, coils)) for a in coils])
 
 
 def _compute_subspace(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the currents, and its largest error at all frequencies.
+    """Compute an orthonormal basis of the currents, and the largest error of this basis.
 
     The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every second
-    angular frequency of ``speeds``.
+    angular frequency of ``speeds``. The error is evaluated at all frequencies.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
@@ -495,7 +497,7 @@ def _compute_subspace(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
+    """Compute the Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
     result = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
@@ -506,7 +508,7 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Fit power series (c, k, degree + 1) to ``values`` (c, NODES, k).
 
-    The series are the shortest with errors of each coil's slopes below a tenth of the
+    The degree is the smallest for which the error of each coil's slopes is below a tenth of the
     ``tolerance``.
     """
     c = _fit_chebyshev(nodes, values)

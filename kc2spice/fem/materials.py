@@ -8,12 +8,13 @@ Interface::
     pzt.poled((0, 0, -1))                    # tensors in the axes of the body
     pzt.C, pzt.e, pzt.eps_S                  # (6, 6) Pa, (3, 6) C/m^2, (3, 3) F/m
 
-Voigt order xx yy zz yz xz xy with engineering shear strains. Every :class:`Material` is in
-stress-charge form with constants of piezoelectricity at constant field and constant strain,
+The components are in Voigt order xx yy zz yz xz xy, with engineering shear strains. Every
+:class:`Material` has constants in the stress-charge form of IEEE Std 176-1987, at constant field
+and constant strain:
 
-    T = C S - e' E,   D = e S + eps_S E,
+    T = C S - e' E,   D = e S + eps_S E.
 
-whatever form its table had (IEEE Std 176-1987): with ``s = C^-1`` and strain-charge data d, eps_T
+A table in strain-charge form, with compliance s, coupling d and permittivity eps_T, is converted by
 
     C = s^-1,   e = d C,   eps_S = eps_T - e C^-1 e'.
 """
@@ -50,10 +51,10 @@ from kc2spice.core.quantities import (
     validate,
 )
 
-TENSOR_ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
+TENSOR_ROUNDING = 1e-12  # rounding error of a tensor, relative to its largest component
 
-# Point groups of data sheets, and the class below with the same free components. "32" is the group
-# of quartz (3m has other piezoelectric components), "6mm" the group of poled ceramics.
+# Point groups in data sheets, and the symmetry class below with the same free components. "32" is
+# the group of quartz, "6mm" the group of poled ceramics; 3m has other piezoelectric components.
 _POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
@@ -64,7 +65,8 @@ Symmetry: TypeAlias = Annotated[
     BeforeValidator(lambda said: _POINT_GROUPS.get(said, said) if isinstance(said, str) else said),
 ]
 
-# Free components of stiffness and coupling in a symmetry class, each with its equal components.
+# Free components of stiffness and coupling in each symmetry class, with the components equal to
+# them.
 _FREE_COMPONENTS = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
@@ -72,8 +74,8 @@ _FREE_COMPONENTS = {
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Alternative keys of the same property; a table with one of them inherits no other key of the
-# group.
+# Groups of keys that describe the same property. A table with one key of a group inherits no other
+# key of this group.
 _ALTERNATIVE_KEYS = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
@@ -88,7 +90,7 @@ class CylindricalAxes:
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m] in ``elements``.
+        """Return rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
 
         The columns of each rotation are the radial, hoop and axial unit vectors.
         """
@@ -96,7 +98,7 @@ class CylindricalAxes:
         arm = places - np.asarray(self.point)
         arm = arm - np.outer(arm @ axial, axial)
         size = np.linalg.norm(arm, axis=1, keepdims=True)
-        # any direction, on the axis itself
+        # any radial direction for places on the axis
         other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
         radial = np.where(size > 0, arm, other / np.linalg.norm(other))
         radial = radial / np.where(size > 0, size, 1.0)
@@ -106,12 +108,12 @@ class CylindricalAxes:
 
 @dataclass(frozen=True, eq=False)
 class ElementAxes(EqualByContent):
-    """Axes of each element of a mesh: ``rotations`` (elements, 3, 3), one axis per column."""
+    """Material axes of each element of a mesh: ``rotations`` (elements, 3, 3), axes as columns."""
 
     rotations: np.ndarray
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Rotations (n, 3, 3) to the axes of the ``elements`` (n,) that contain ``places``."""
+        """Return the rotations (n, 3, 3) to the material axes of ``elements`` (n,)."""
         return np.asarray(self.rotations[elements])
 
 
@@ -126,15 +128,17 @@ class Material(EqualByContent):
     C : (6, 6) stiffness at constant field [Pa], Voigt order xx yy zz yz xz xy.
     e : (3, 6) piezoelectric stress coefficients [C/m^2], zero of other materials.
     eps_S : (3, 3) permittivity at constant strain [F/m], by default the permittivity of vacuum.
-    conductor : no field inside; a face against an insulator is an electrode.
-    quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
-    tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], largest field
-    against the poling and in any direction [V/m], None if unknown.
-    residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
-    axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
-    dielectric : has a field between its electrodes, with or without piezoelectric coupling.
-    local_axes : axes that depend on the position, None for the axes of the body. All
-        tensors are in these axes, such as radial, hoop and axial ones of a ring poled radially.
+    conductor : whether the material has no electric field; its faces to insulators are electrodes.
+    quality, loss_tangent : mechanical Q factor and dielectric loss tangent, None if unknown.
+    tensile_strength : largest principal stress [Pa], None if unknown.
+    depoling_field, breakdown_field : largest field [V/m] against the poling and in any direction,
+        None if unknown.
+    residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must bear.
+    axis : (3,) unit vector of the material's z axis (the poling of a ceramic) in the axes of the
+        body.
+    dielectric : whether there is a field between electrodes, with or without piezoelectricity.
+    local_axes : material axes that depend on the position, None for the axes of the body. All
+        tensors are in these axes: for example, in radial, hoop and axial directions.
     """
 
     name: str
@@ -164,7 +168,7 @@ class Material(EqualByContent):
 
     @property
     def isotropic_about_z(self) -> bool:
-        """Whether rotation by 30 or 45 degrees about z changes no constant by more than 2 %."""
+        """Whether rotations by 30 and 45 degrees about z change all constants by at most 2 %."""
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
             rotated = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
@@ -179,7 +183,7 @@ class Material(EqualByContent):
     def couples_planes(self) -> bool:
         """Whether motion in a plane through z causes motion or polarisation out of the plane.
 
-        The material then has a component that changes its sign in the mirror of the plane.
+        This is so if a component of a tensor changes its sign by reflection in the plane.
         """
         out, within, C, e = [3, 5], [0, 1, 2, 4], np.abs(self.C), np.abs(self.e)
         elastic = C[np.ix_(out, within)].max() > TENSOR_ROUNDING * C.max()
@@ -190,29 +194,27 @@ class Material(EqualByContent):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
 
-        The tensors refer to the axes of the body at ``places`` (n, 3) [m] in the ``elements``
-        (n,). Without :attr:`local_axes` the tensors are the same everywhere, and n = 1.
+        The tensors are given in the axes of the body, at ``places`` (n, 3) [m] in the ``elements``
+        (n,). Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
         R = self.local_axes.frames(places, elements)
-        M, back = bond_matrix(R), R.transpose(0, 2, 1)
+        M, back = compute_bond_matrix(R), R.transpose(0, 2, 1)
         turned = M.transpose(0, 2, 1)
         return M @ self.C @ turned, R @ self.e @ turned, R @ self.eps_S @ back
 
     @property
     def eps_T(self) -> np.ndarray:
-        """(3, 3) permittivity at constant stress [F/m]."""
+        """Permittivity (3, 3) at constant stress [F/m]."""
         return self.eps_S + self.e @ np.linalg.solve(self.C, self.e.T)
 
     @property
     def indentation_modulus(self) -> float:
-        """Modulus [Pa] of a half-space under indentation along z without fields.
+        """Indentation modulus [Pa] of a half-space along z without electric fields.
 
-        For an isotropic material, the modulus is E / (1 - nu^2).
-
-        The material must be isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
-        Structures 41 (2004), eq. 13.
+        The material must be isotropic about z. For a fully isotropic material, the modulus is
+        E / (1 - nu^2). Source: Delafargue and Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
         """
         c11, c13, c33, c44 = self.C[0, 0], self.C[0, 2], self.C[2, 2], self.C[3, 3]
         mean = np.sqrt(c11 * c33)
@@ -221,16 +223,16 @@ class Material(EqualByContent):
 
     @property
     def d(self) -> np.ndarray:
-        """(3, 6) piezoelectric strain coefficients [C/N] = [m/V]."""
+        """Piezoelectric strain coefficients (3, 6) [C/N] = [m/V]."""
         return np.linalg.solve(self.C, self.e.T).T
 
     def rotated(self, R: np.ndarray) -> Material:
-        """Rotate the material by ``R`` (3, 3): its axis i then points along ``R[:, i]``.
+        """Return the material rotated by ``R`` (3, 3): axis i then points along ``R[:, i]``.
 
         Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
         (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
         """
-        M = bond_matrix(R)
+        M = compute_bond_matrix(R)
         return replace(
             self,
             C=M @ self.C @ M.T,
@@ -240,15 +242,18 @@ class Material(EqualByContent):
         )
 
     def poled(self, direction: Sequence[float]) -> Material:
-        """Rotate the z axis, the poling of a ceramic, to a ``direction`` of the body.
+        """Return the material with its z axis (the poling of a ceramic) along ``direction``.
 
-        The rotation is the smallest one; for -z it is half a turn about x.
+        The rotation has the smallest angle; to -z it is half a turn about x.
         """
-        return self.rotated(poling_rotation(direction))
+        return self.rotated(compute_poling_rotation(direction))
 
 
-def poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Compute the smallest rotation (3, 3) of z to a ``direction``; for -z half a turn about x."""
+def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Compute the rotation (3, 3) of z to a ``direction`` by the smallest angle.
+
+    The rotation to -z is half a turn about x.
+    """
     n = np.asarray(direction, float) / np.linalg.norm(direction)
     if n[2] < -1 + 1e-14:
         return np.diag([1.0, -1.0, -1.0])
@@ -259,10 +264,11 @@ def poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
 _VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
-def bond_matrix(R: np.ndarray) -> np.ndarray:
-    """Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for Voigt stresses.
+def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
+    """Return the Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for Voigt stresses.
 
-    Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.
+    Column J is the Voigt vector of ``R T_J R'``, where T_J is the symmetric tensor whose Voigt
+    vector is the unit vector J.
     """
     M = np.empty((*R.shape[:-2], 6, 6))
     for J, (k, l) in enumerate(_VOIGT_PAIRS):
@@ -275,9 +281,9 @@ def bond_matrix(R: np.ndarray) -> np.ndarray:
 
 
 def _validate_components(unit: str) -> BeforeValidator:
-    """Validate a tensor of named components or nested lists.
+    """Return a validator for a tensor of named components or nested lists.
 
-    Each number may have a unit.
+    Each number in the tensor may have a unit.
     """
     return BeforeValidator(partial(_convert_units, unit))
 
@@ -301,17 +307,18 @@ _Modulus: TypeAlias = float | list[float]
 class MaterialTable(Section):
     """Constants of a material in a scene or the library.
 
-    :meth:`build` makes the tensors. The elasticity is one of
+    :meth:`build` makes the tensors. One of these keys or pairs of keys gives the elasticity:
 
     * ``youngs_modulus`` and ``poisson_ratio``: isotropic, or orthotropic with three moduli, ``nu_xy
       nu_yz nu_xz`` and ``shear_modulus``,
-    * ``stiffness`` ``c11``…, as components under a ``symmetry`` or as a full 6 by 6 list,
-    * ``compliance`` ``s11``…, in the same forms.
+    * ``stiffness``: components ``c11``… with a ``symmetry``, or a 6 by 6 list,
+    * ``compliance``: components ``s11``… with a ``symmetry``, or a 6 by 6 list.
 
-    Piezoelectricity is ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
-    ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3. A piezoelectric material
-    must state whether its permittivity is at constant ``stress`` or ``strain``. With the key
-    ``like``, all other constants are those of this library material.
+    Either ``stress_coupling`` (``e31``…) or ``strain_coupling`` (``d31``…) gives the piezoelectric
+    components, as names with values or as a 3 by 6 list. The relative ``permittivity`` has the
+    components ``eps11``, ``eps22`` and ``eps33``, or is a 3 by 3 list. The table of a piezoelectric
+    material must state whether the permittivity is at constant ``stress`` or ``strain``. If the
+    table has the key ``like``, it inherits all constants that it omits from this library material.
     """
 
     like: str | None = Field(
@@ -385,7 +392,7 @@ class MaterialTable(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _inherit(cls, data: Any) -> Any:
+    def _inherit_constants(cls, data: Any) -> Any:
         """Add the properties of the material ``like`` that the table omits."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
@@ -457,7 +464,7 @@ class MaterialTable(Section):
             C = self._build_tensor("stiffness", "c")
         else:
             s = (
-                self._engineering_compliance()
+                self._compute_engineering_compliance()
                 if self.compliance is None
                 else self._build_tensor("compliance", "s")
             )
@@ -465,14 +472,14 @@ class MaterialTable(Section):
             C = np.linalg.inv(s)
         _require_definite(C, "stiffness")
         largest = float(np.diag(C).max())
-        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, or pm^2/N written as m^2/N
+        if not 1e3 <= largest <= 2e12:  # a wrong unit, such as Pa instead of GPa
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
         return (C + C.T) / 2
 
-    def _engineering_compliance(self) -> np.ndarray:
-        """Compute the compliance of Young's moduli and ratios ``nu_ij = -S_jj/S_ii``."""
+    def _compute_engineering_compliance(self) -> np.ndarray:
+        """Compute the compliance from Young's moduli and ratios ``nu_ij = -S_jj/S_ii``."""
         E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
         if isinstance(E_keys, float) and isinstance(nu, float) and G is None:
@@ -516,10 +523,10 @@ class MaterialTable(Section):
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
     def _build_tensor(self, key: str, letter: str) -> np.ndarray:
-        """Make a tensor from lists, or from the free components of the symmetry.
+        """Make a tensor from lists, or from the free components of the symmetry class.
 
-        The letter selects stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3,
-        6).
+        The letter selects stiffness ``c`` (6, 6), compliance ``s`` (6, 6), or coupling ``e`` or
+        ``d`` (3, 6).
         """
         values, elastic = getattr(self, key), letter in "cs"
         shape = (6, 6) if elastic else (3, 6)
@@ -593,14 +600,14 @@ def _list_library_names() -> dict[str, str]:
 
 @cache
 def _load_material(name: str) -> Material:
-    """Build a material of the library."""
+    """Return a material of the library."""
     return MaterialTable.model_validate(_load_tables()[name]).build(name)
 
 
 def material(
     name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
 ) -> Material:
-    """Return a material by its name in the library, in any case, or from a table.
+    """Return a material of the library by its name, in upper or lower case, or from a table.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Arrays of a mesh or CAD file from gmsh, with groups of its entities; for a separate process."""
+"""Functions that read mesh and CAD files with gmsh in a separate process, and return arrays."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from kc2spice.fem.mesh_cells import CellBlock
 from kc2spice.fem.mesh_formats import MESHIO_READERS, merge_file
 
 ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-# largest distance of a face from a point that selects it, relative to the body's size
+# largest distance of an entity from the point that selects it, relative to the body's size
 PICK_TOLERANCE = 1e-6
-# Numbers of corners of the supported elements of each dimension.
+# Numbers of corners of the supported elements, keyed by their dimension.
 CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
 ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
 MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
@@ -34,14 +34,20 @@ def extract_mesh(
 
     ``name`` is the user's name of the file.
 
-    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
-    by name: ``dimension``, points ``at``, corners of a ``box``.
+    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` selects the
+    groups of a CAD file, keyed by name: ``dimension``, points ``at``, corners of a ``box``.
 
-    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
-    corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
-    each block; ``numbers``, the numbers of the elements in the file; ``group<k>``, numbers of such
-    elements or nodes (elements, corners); and ``record``, JSON: name and dimension of each group.
-    Triangles in a mesh with quadrilaterals repeat their last corner.
+    The result contains these arrays:
+
+    * ``points`` (n, 3): positions of the nodes,
+    * ``cells<k>`` (elements, nodes): nodes of the elements of block k, corners first; all elements
+      of a block are of one kind,
+    * ``local<k>``: positions of these nodes on the reference element,
+    * ``corners``: number of corners of the elements of each block,
+    * ``numbers``: numbers of the elements in the file,
+    * ``group<k>``: numbers of the elements of group k, or nodes (elements, corners) of its
+      entities; triangles in a mesh with quadrilaterals repeat their last corner,
+    * ``record``: JSON text with the name and dimension of each group.
 
     Raises
     ------
@@ -57,16 +63,13 @@ def extract_mesh(
         for _ in range(splits):
             gmsh.model.mesh.refine()
         arrays = _collect_arrays(gmsh, dimension, name)
-    if Path(file).suffix in MESHIO_READERS:  # meshio does not return the numbers of elements
+    if Path(file).suffix in MESHIO_READERS:  # meshio does not read the numbers of elements
         arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
     return arrays
 
 
 def measure_box(file: str) -> dict[str, np.ndarray]:
-    """Measure the lowest and highest coordinates, ``box`` (2, 3), of a file.
-
-    The coordinates are in the unit of the file.
-    """
+    """Return the bounding box of a file: array ``box`` (2, 3) in the unit of the file."""
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         _merge_file(gmsh, file, 3)
@@ -90,8 +93,8 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     order = np.argsort(tags)
     ranked = tags[order]
 
-    def blocks_of(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return numbers and nodes of all elements in these entities."""
+    def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
+        """Return the numbers and nodes of all elements in ``entities`` of dimension ``d``."""
         result = []
         for entity in entities:
             blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
@@ -115,19 +118,19 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
                 result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
         return result
 
-    body = blocks_of(dimension, map(itemgetter(1), gmsh.model.getEntities(dimension)))
+    body = list_blocks(dimension, map(itemgetter(1), gmsh.model.getEntities(dimension)))
     arrays = {"corners": np.array([block.corners for _, block in body], dtype=int)}
     for k, (_, block) in enumerate(body):
         arrays |= {f"cells{k}": block.nodes, f"local{k}": block.local}
     numbers = np.concatenate([np.empty(0, int), *map(itemgetter(0), body)])
     groups: list[tuple[str, int]] = []
     for d, physical in gmsh.model.getPhysicalGroups():
-        members = blocks_of(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
+        members = list_blocks(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
         if d == dimension:
             selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
             result = np.flatnonzero(np.isin(numbers, selected))
         else:
-            result = _corner_nodes(map(itemgetter(1), members), max(CORNER_COUNTS[d]))
+            result = _collect_corner_nodes(map(itemgetter(1), members), max(CORNER_COUNTS[d]))
         arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
@@ -135,8 +138,8 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     return arrays
 
 
-def _corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
-    """Return the nodes (elements, width) at corners; the last corner fills the row."""
+def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
+    """Return the corner nodes (elements, width); shorter rows repeat their last corner."""
     rows = [np.empty((0, width), int)]
     for block in blocks:
         columns = np.minimum(np.arange(width), block.corners - 1)
@@ -145,10 +148,7 @@ def _corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
 
 
 def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Join the solids of a CAD file, name its groups, and mesh it.
-
-    The elements are quadratic.
-    """
+    """Join the solids of a CAD file, name its groups, and mesh it with quadratic elements."""
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
         problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
@@ -193,7 +193,7 @@ def _select_entities(
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
-    """Select the entities that contain points ``at``, and those inside ``box``."""
+    """Select the entities that contain one of the points ``at``, and those inside ``box``."""
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     result: list[int] = []
@@ -201,7 +201,7 @@ def _select_entities(
         hits = [
             tag
             for d, tag in gmsh.model.getEntities(dimension)
-            if _passes_near(gmsh, d, tag, np.asarray(point), near)
+            if _is_entity_near(gmsh, d, tag, np.asarray(point), near)
         ]
         if not hits:
             problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
@@ -220,10 +220,10 @@ def _select_entities(
     return sorted(set(map(int, result)))
 
 
-def _passes_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Return whether an entity passes within ``near`` of a point.
+def _is_entity_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
+    """Return whether the distance of an entity from a point is at most ``near``.
 
-    The continuation of the entity beyond its boundary is ignored.
+    The surface or curve of the entity beyond its boundary does not count.
     """
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):

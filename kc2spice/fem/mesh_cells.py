@@ -1,11 +1,11 @@
-"""Elements of mesh files, and the quadratic meshes that follow from them.
+"""Elements of mesh files, and their conversion to quadratic meshes.
 
-A file contains blocks of elements, each of one kind, of first or second order. Meshes of only
-hexahedra or only quadrilaterals become meshes of 27 or 9 nodes per element. Nodes that the file
-lacks, such as those on the faces of hexahedra with 20 nodes, follow from the shape functions of the
-file's elements. All other meshes become quadratic tetrahedra or triangles. Prisms, pyramids, and
-hexahedra in meshes with other elements are divided at the diagonals through the lowest node number
-of each face, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids,
+A file contains blocks of linear or quadratic elements. All elements of a block are of one kind.
+Meshes of only hexahedra or only quadrilaterals become meshes with 27 or 9 nodes per element. If the
+file lacks some of these nodes, their positions are interpolated by the shape functions of the
+file's elements. All other meshes become quadratic tetrahedra or triangles: prisms, pyramids, and
+hexahedra beside other elements are divided. The diagonal of each divided face starts at its lowest
+node number, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids,
 prisms and hexahedra into tetrahedra, 8th International Meshing Roundtable (1999).
 """
 
@@ -31,13 +31,13 @@ from skfem.mesh import (
 
 from kc2spice.core.errors import wrong
 
-# Faces of elements, keyed by number of corners, in gmsh's node order.
+# Corners of the faces of elements in gmsh's node order, keyed by the element's number of corners.
 ELEMENT_FACES = {
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }  # fmt: skip
-# Neighbours of each corner along edges, in right-handed order.
+# Neighbours of each corner along the edges of an element, in right-handed order.
 CORNER_NEIGHBOURS = {
     (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
     (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
@@ -48,7 +48,7 @@ CORNER_NEIGHBOURS = {
 }  # fmt: skip
 SIMPLEX_MESHES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
 PRODUCT_MESHES = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
-# Elements with the shape functions of a file, keyed by dimension and number of nodes.
+# Elements with the shape functions of a file's elements, keyed by dimension and number of nodes.
 PRODUCT_ELEMENTS = {
     (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
     (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
@@ -59,7 +59,7 @@ PRODUCT_ELEMENTS = {
 class CellBlock:
     """Elements of one kind: ``nodes`` (elements, l), with the ``corners`` first.
 
-    ``local`` (l, d) are the coordinates of these nodes on gmsh's reference element.
+    ``local`` (l, d) are the coordinates of the nodes of an element on gmsh's reference element.
     """
 
     nodes: np.ndarray
@@ -82,22 +82,22 @@ class CellBlock:
         return self.corners == 2**self.dimension
 
     def renumber(self, number: np.ndarray) -> CellBlock:
-        """Return the block with each node replaced by its ``number`` (n,)."""
+        """Return the block with each node replaced by its new number in ``number`` (n,)."""
         return CellBlock(number[self.nodes], self.corners, self.local)
 
-    def middle_nodes(self) -> dict[tuple[int, int], int]:
-        """Return the local number of each node in the middle of an edge, by the edge's corners."""
+    def find_middle_nodes(self) -> dict[tuple[int, int], int]:
+        """Return the local numbers of nodes in the middle of edges, keyed by the edge's corners."""
         result: dict[tuple[int, int], int] = {}
         for edge in combinations(range(self.corners), 2):
             middle = self.local[list(edge)].mean(axis=0)
             for node in range(self.corners, len(self.local)):
                 if np.allclose(self.local[node], middle):
                     result[edge] = node
-        centres = self._centre_nodes(result)
+        centres = self._find_face_nodes(result)
         return {edge: node for edge, node in result.items() if node not in centres}
 
-    def _centre_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
-        """Nodes in the middle of more than one line between corners, which are face nodes."""
+    def _find_face_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
+        """Return the face nodes: nodes in the middle of more than one line between corners."""
         nodes = list(middles.values())
         return {node for node in nodes if nodes.count(node) > 1}
 
@@ -112,7 +112,7 @@ def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where:
 
     Raises
     ------
-    UsageError : an element is folded or has corners in one plane; the message states where.
+    UsageError : an element is folded or all of its corners are in one plane.
     """
     for block in blocks:
         corners = CORNER_NEIGHBOURS.get((block.dimension, block.corners))
@@ -133,9 +133,9 @@ def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where:
 
 
 def divide_faces(faces: np.ndarray) -> np.ndarray:
-    """Divide quadrilaterals (n, 4) into triangles (k, 3) at their lowest node number.
+    """Divide quadrilaterals (n, 4) into triangles (k, 3) by the diagonal from the lowest node.
 
-    A quadrilateral whose last two nodes are the same is one triangle.
+    A quadrilateral whose last two nodes are the same becomes one triangle.
     """
     turned = _rotate_to_lowest_node(faces)
     result = np.concatenate([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]])
@@ -168,7 +168,7 @@ def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Divide a block into sets of simplices, each with the numbers of the elements."""
+    """Return simplices of a block, and the number of the element that contains each simplex."""
     cells = block.vertices
     if block.corners == block.dimension + 1:
         return [(cells, np.arange(len(cells)))]
@@ -188,17 +188,17 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     return result
 
 
-def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
-    """Return ends (k, 2) and middles (k, d) of curved edges and diagonals of a block."""
+def _find_edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
+    """Return the end nodes (k, 2) and middles (k, d) of curved edges and curved diagonals."""
     if len(block.local) == block.corners:
         return np.empty((0, 2), int), np.empty((0, points.shape[1]))
-    middles, nodes = block.middle_nodes(), block.nodes
+    middles, nodes = block.find_middle_nodes(), block.nodes
     ends = [nodes[:, list(edge)] for edge in middles]
     places = [points[nodes[:, node]] for node in middles.values()]
     faces = ((0, 1, 2, 3),) if block.dimension == 2 else ELEMENT_FACES.get(block.corners, ())
     for face in faces if block.corners > block.dimension + 1 else ():
         if len(face) == 4:
-            around = [middles[_sorted_pair(face[i - 1], face[i])] for i in range(4)]
+            around = [middles[_sort_pair(face[i - 1], face[i])] for i in range(4)]
             centre = points[nodes[:, around]].sum(axis=1) / 2
             places.append(centre - points[nodes[:, list(face)]].sum(axis=1) / 4)
             ends.append(_rotate_to_lowest_node(nodes[:, list(face)])[:, [0, 2]])
@@ -213,7 +213,7 @@ def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.
     return np.concatenate(ends), np.concatenate(places)
 
 
-def _sorted_pair(first: int, second: int) -> tuple[int, int]:
+def _sort_pair(first: int, second: int) -> tuple[int, int]:
     """Return two numbers in ascending order."""
     return min(first, second), max(first, second)
 
@@ -223,13 +223,13 @@ def make_quadratic_mesh(
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
     """Make a quadratic mesh with the nodes of a file.
 
-    Edges without middle nodes are straight.
+    Edges that have no middle node in the file are straight.
 
     Returns
     -------
-    mesh : of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : number (n,) in the mesh of each node of the file, -1 for nodes that are not corners.
-    parent : number (elements,) in the file of the element that contains each element.
+    mesh : mesh of quadrilaterals, hexahedra, triangles or tetrahedra.
+    number : (n,) number in the mesh of each node of the file, -1 for nodes that are not corners.
+    parent : (elements,) number of the file's element that contains each element of the mesh.
     """
     make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
     return make(points, blocks)
@@ -245,7 +245,7 @@ def _make_simplex_mesh(
     mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.reshape(corners.shape).T.copy()))
     places = mesh.doflocs.copy()
     for block in blocks:
-        ends, middle = _edge_middles(points, block)
+        ends, middle = _find_edge_middles(points, block)
         places[:, find_edge_nodes(mesh, number[ends])] = middle.T
     return curved(places, mesh.t), number, parent
 
@@ -257,7 +257,9 @@ def _make_product_mesh(
     kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])
     vertices, cells = np.unique(corners, return_inverse=True)
-    order = _match_positions(_unit_positions(blocks[0])[: corners.shape[1]], kind.elem.doflocs)
+    order = _match_positions(
+        _compute_unit_positions(blocks[0])[: corners.shape[1]], kind.elem.doflocs
+    )
     mesh = curved.from_mesh(
         kind(points[vertices].T.copy(), cells.reshape(corners.shape)[:, order].T.copy())
     )
@@ -267,29 +269,32 @@ def _make_product_mesh(
         columns = numbers[:, start : start + len(block.nodes)]
         start += len(block.nodes)
         places[:, columns] = np.einsum(
-            "il,eld->die", _interpolation_weights(block), points[block.nodes]
+            "il,eld->die", _compute_interpolation_weights(block), points[block.nodes]
         )
     number = _invert_numbers(vertices, len(points))
     return curved(places, mesh.t), number, np.arange(len(corners))
 
 
-def _unit_positions(block: CellBlock) -> np.ndarray:
-    """Nodes (l, d) of gmsh's quadrilateral or hexahedron on the unit square or cube."""
+def _compute_unit_positions(block: CellBlock) -> np.ndarray:
+    """Return the nodes (l, d) of gmsh's quadrilateral or hexahedron on the unit square or cube."""
     return (block.local + 1) / 2
 
 
 def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the index of the position that each of the ``others`` has."""
+    """Return the index in ``places`` of each of the positions ``others``."""
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))
 
 
-def _interpolation_weights(block: CellBlock) -> np.ndarray:
-    """Weights (m, l) of a block's nodes in the nodes of its quadratic element."""
+def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
+    """Return weights (m, l) that interpolate the m nodes of a quadratic element from l nodes.
+
+    The l nodes are the nodes of the block's elements in the file.
+    """
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
     curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs
     result = np.empty((len(curved), len(block.local)))
-    order = _match_positions(_unit_positions(block), element.doflocs)
+    order = _match_positions(_compute_unit_positions(block), element.doflocs)
     for i, node in enumerate(order):
         result[:, node] = element.lbasis(curved.T, i)[0]
     return result
@@ -302,13 +307,16 @@ def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
 
 
 def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
-    """Nodes in the middle of edges given by vertices (k, 2)."""
+    """Return the nodes in the middle of edges, which are given by pairs (k, 2) of vertices."""
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
     return mesh.nvertices + find_columns(edges, pairs)
 
 
 def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Find the columns of ``entities`` (corners, n) with these corners (k, corners), or -1."""
+    """Find the entity, a column of ``entities``, that has the same ``corners`` (k, corners).
+
+    The result is (k,), and -1 where no column of ``entities`` (corners, n) has these corners.
+    """
     columns, rows = np.sort(entities, axis=0), np.sort(corners, axis=1)
     if columns.shape[0] != rows.shape[1]:
         return np.full(len(rows), -1)

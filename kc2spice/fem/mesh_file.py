@@ -1,9 +1,9 @@
 """Meshes and CAD files of the user, read by gmsh or meshio, with named groups.
 
-:mod:`kc2spice.fem.mesh_formats` reads the meshes of other programs. ``.msh`` and ``.unv`` files
-contain elements and physical groups. This module meshes ``.step`` and ``.brep`` files. The solids
-of a CAD file are first modified to share faces. Their groups are the labels of the file, and the
-selections (``picks``) of :func:`read_mesh`.
+``.msh`` and ``.unv`` files contain elements and physical groups. :mod:`kc2spice.fem.mesh_formats`
+reads the mesh formats of other programs. This module meshes ``.step`` and ``.brep`` files. Before
+meshing, touching solids of a CAD file are modified to share faces. The groups of a CAD file are its
+labels, and the selections (``picks``) of :func:`read_mesh`.
 
 gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
@@ -42,7 +42,7 @@ from kc2spice.fem.mesh_nodes import merge_nodes, require_joined
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
-# First bytes of each format, and the file name for its reader.
+# First bytes of each format, and the file name with which the file is read.
 FILE_FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
@@ -50,12 +50,12 @@ FILE_FORMATS = {
     ".unv": (b"    -1", "mesh.unv"), ".vtu": (b"<", "mesh.vtu"), ".med": (b"\x89HDF", "mesh.med"),
     ".exo": (b"", "mesh.exo"), ".e": (b"", "mesh.e"),
 }  # fmt: skip
-MAX_FILE_BYTES = 2_000_000_000  # size of a file
-_HEAD_BYTES = 200  # bytes at the beginning of a file that identify its format
-LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
+MAX_FILE_BYTES = 2_000_000_000  # largest size of a file
+_HEAD_BYTES = 200  # number of bytes at the beginning of a file that identify its format
+LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units that a user may state for a file
 MILLIMETRE = 1e-3  # m, unit of converted STEP files
-# Accepted versions of .msh files; the following bytes distinguish text from binary numbers of
-# either byte order.
+# Accepted versions of .msh files. The bytes after the version distinguish text, binary numbers with
+# the lowest byte first, and binary numbers with the highest byte first.
 _MSH_HEADER = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
@@ -68,9 +68,8 @@ _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 class Group(EqualByContent):
     """Named set of elements, facets or nodes of the mesh.
 
-    ``codimension`` is 0 for elements, 1 for facets, and 2 or 3 for nodes.
-
-    ``shares`` of nodes are fractions of the length of a curve, and equal for points.
+    ``codimension`` is 0 for elements, 1 for facets, and 2 or 3 for nodes. ``shares`` are the
+    weights of nodes: fractions of the length of a curve, or equal numbers for points.
     """
 
     codimension: int
@@ -82,9 +81,9 @@ class Group(EqualByContent):
 class GroupedMesh:
     """Quadratic mesh [m] with its groups, keyed by name.
 
-    The mesh consists of tetrahedra or hexahedra, and a plane mesh of triangles or quadrilaterals.
-    ``numbers`` (elements,) are the numbers of the elements in the file from which the elements
-    were made.
+    The mesh consists of tetrahedra or hexahedra. A plane mesh consists of triangles or
+    quadrilaterals. ``numbers`` (elements,) are the numbers in the file of the elements from which
+    the elements of the mesh were made.
     """
 
     mesh: Mesh
@@ -92,9 +91,9 @@ class GroupedMesh:
     numbers: np.ndarray
 
     def group(self, name: str, where: str, *codimensions: int) -> Group:
-        """Return a group of one of these codimensions, which a key needs.
+        """Return a group that has one of the accepted codimensions.
 
-        ``where`` is this key.
+        ``where`` is the key of the scene that names the group.
 
         Raises
         ------
@@ -145,17 +144,20 @@ def read_mesh(
 ) -> GroupedMesh:
     """Read a mesh, or mesh a CAD file.
 
-    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge of the elements of a CAD
-    file [m]. ``splits`` is the number of times that every edge is halved. ``picks`` are groups of a
-    CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces, solids). The
-    entities contain one of the points ``at`` (n, 3), or lie in a ``box`` of two corners, all in the
-    unit of the file. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that touch and
-    share no nodes.
+    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge [m] of the elements into
+    which a CAD file is meshed. ``splits`` is the number of times that every edge is halved.
+
+    ``picks`` selects groups of a CAD file, keyed by name. A group consists of entities of one
+    ``dimension`` (0 to 3: points, curves, faces, solids). The entities contain one of the points
+    ``at`` (n, 3), or lie in a ``box`` of two corners, all in the unit of the file.
+
+    Nodes that are at most ``merge`` [m] apart become one node. If ``merge`` is 0, solids may touch
+    without common nodes.
 
     Raises
     ------
-    UsageError : the file is missing, has another format than its suffix, contains no solids, or is
-    a CAD file without ``size``; a selection is empty; or touching solids share no nodes.
+    UsageError : the file is missing, its format differs from its suffix, it contains no solids, or
+    it is a CAD file without ``size``; a selection is empty; or touching solids share no nodes.
     """
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
@@ -186,13 +188,13 @@ def read_mesh(
     return _assemble_mesh(result, unit, dimension, str(path), merge)
 
 
-def length_unit(path: Path, unit: str | None) -> float:
-    """Determine the unit of length [m] of a file by its format, or by ``unit``.
+def find_length_unit(path: Path, unit: str | None) -> float:
+    """Determine the unit of length [m] of a file from its format, or from ``unit``.
 
     Raises
     ------
-    UsageError : neither the format nor ``unit`` states the unit; the message contains the size in
-    usual units.
+    UsageError : neither the format nor ``unit`` states the unit; the message contains the size of
+    the body for several units.
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
@@ -211,20 +213,20 @@ def length_unit(path: Path, unit: str | None) -> float:
 
 
 def measure_extent(path: Path) -> np.ndarray:
-    """Measure the sides (3,) of the bounding box of a file, in its unit.
+    """Measure the sides (3,) of the bounding box of a file, in the unit of the file.
 
-    The unit of STEP files is mm.
+    The sides of a STEP file are in mm.
 
     Raises
     ------
-    UsageError : as :func:`read_mesh`.
+    UsageError : the file is missing or has another format than its suffix.
     """
     low, high = _call_gmsh("measure_box", path, _read_content(path))["box"]
     return np.asarray(high - low)
 
 
 def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
-    """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a process, on a copy of the file."""
+    """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a process with a copy of the file."""
     file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
@@ -246,15 +248,14 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
-    """Check that a file has the format of its suffix.
+    """Check that the content of a file has the format of its suffix.
 
-    gmsh runs unknown files as scripts.
-
-    ``head`` are the first bytes of the file, which are read by default. A missing file passes.
+    gmsh runs unknown files as scripts. ``head`` are the first bytes of the file; by default, they
+    are read from the file. A missing file raises no error.
 
     Raises
     ------
-    UsageError : an unknown suffix, or a file of another format.
+    UsageError : the suffix is unknown, or the file has another format.
     """
     known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
@@ -332,7 +333,8 @@ def _assemble_mesh(
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node has a coordinate that is not a finite number", where=where)
-    if dimension == 2:  # radius and height; the plane is x-y (y is the axis) or x-z (z is the axis)
+    # an axisymmetric mesh is in the plane x-y with the axis y, or in x-z with the axis z
+    if dimension == 2:
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
             problem = "the nodes of the axisymmetric mesh are not in one plane"
@@ -374,7 +376,7 @@ def _assemble_mesh(
 
 
 def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageError:
-    """Make the error of a mesh without elements of its dimension.
+    """Make the error for a mesh that contains no elements of the required ``dimension``.
 
     ``grouped`` is the largest dimension of a group.
     """
@@ -393,9 +395,9 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
 def _measure_shares(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nodes on points (k, 1) or lines (k, 2), and their shares.
+    """Find the nodes on points (k, 1) or lines (k, 2), and the share of each node.
 
-    The shares refer to the whole length.
+    The share of a node is its fraction of the total length.
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
@@ -409,7 +411,7 @@ def _measure_shares(
 
 
 def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
-    """Raise an error if a part of a group is not on the elements of the body (index -1)."""
+    """Raise an error if an entity of a group is not on the body, so that its index is -1."""
     if (places < 0).any():
         raise UsageError(
             "this group does not lie on the elements of the body",

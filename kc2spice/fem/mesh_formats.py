@@ -1,8 +1,8 @@
 """Meshes of other programs, read by meshio, as discrete entities of gmsh.
 
-Sets of elements, integer cell data, and sets of nodes become physical groups. A set of nodes that
-contains all corners of faces on the surface of the body becomes a group of these faces. Any other
-set of nodes is a group of points.
+Sets of elements, integer cell data, and sets of nodes become physical groups. If a set of nodes
+contains all corners of some faces on the surface of the body, it becomes a group of these faces.
+Any other set of nodes becomes a group of points.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.extras import import_optional
 from kc2spice.fem.mesh_cells import ELEMENT_FACES
 
-# Readers of meshio, keyed by suffix, and the library that each needs.
+# Readers of meshio and the library that each reader needs, keyed by suffix.
 MESHIO_READERS = {
     ".inp": ("abaqus", None), ".bdf": ("nastran", None), ".nas": ("nastran", None),
     ".vtu": ("vtu", None), ".med": ("med", "h5py"), ".exo": ("exodus", "netCDF4"),
@@ -35,10 +35,10 @@ ELEMENT_SHAPES = {
     "pyramid": ("Pyramid", 3, 5), "wedge": ("Prism", 3, 6), "hexahedron": ("Hexahedron", 3, 8),
 }  # fmt: skip
 TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
-MAX_QUOTE_LENGTH = 60  # characters of a line that an error quotes
+MAX_QUOTE_LENGTH = 60  # largest number of characters of a line that an error quotes
 MAX_GROUPS = 1000  # largest number of groups from one array of integers
-# Largest distance of nodes on edges and faces from straight edges, relative to the longest edge of
-# the element; it is 0.5 for an edge that is half a circle.
+# Largest distance of a node from its position on an element with straight edges, relative to the
+# longest edge of the element. An edge that is half a circle has the distance 0.5.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
     "abaqus": re.compile(
@@ -47,8 +47,8 @@ _INCLUDE_LINE = {
     "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
-# Lines of Abaqus that meshio ignores although they change the mesh: pattern, number of such lines
-# in a supported file, and remedy.
+# Lines of Abaqus files that meshio ignores although they change the mesh. Each item consists of a
+# pattern, the number of such lines in a supported file, and the remedy.
 IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
      "write all nodes and elements in global coordinates"),
@@ -59,9 +59,9 @@ IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*PART\b.*", 1, "write one part, or export without parts and assemblies"),
 )  # fmt: skip
 _GRID_LINE = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
-# Continuation lines of a Nastran file: fields after an empty first field.
+# Continuation line of a Nastran file: its first field is empty.
 _CONTINUATION_LINE = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
-# Elements of Abaqus, keyed by dimension; their names end with the number of nodes and letters.
+# Elements of Abaqus, keyed by dimension. A number of nodes and letters follow in their names.
 ABAQUS_TYPES = {
     2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
     3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
@@ -71,7 +71,7 @@ MESHIO_NAMES = {
     3: {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15",
         20: "hexahedron20", 27: "hexahedron27"},
 }  # fmt: skip
-# Number of nodes of UNV elements, keyed by type, and types with a line of orientations.
+# Number of nodes of UNV elements, keyed by type; and the types with an additional line.
 UNV_NODES = {
     11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
     92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
@@ -84,12 +84,12 @@ _ELSET = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
 
 def require_plain_content(suffix: str, data: bytes, where: str) -> None:
-    """Reject files that include others, and element sets that meshio would confuse.
+    """Reject files that include other files, and element sets that meshio reads wrongly.
 
     Raises
     ------
-    UsageError : a reference to another file, content that meshio ignores, or an Abaqus file with
-        elements inside and outside of sets, or with one set for several blocks.
+    UsageError : the file refers to another file or contains lines that meshio ignores; or an Abaqus
+        file has elements inside and outside of sets, or one set for several blocks.
     MissingToolError : a library of the format is not installed.
     """
     reader, library = MESHIO_READERS[suffix]
@@ -120,7 +120,7 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
 
 
 def _list_ignored(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
-    """Yield lines that meshio ignores, although they change the mesh, and what to do."""
+    """Yield lines that meshio ignores although they change the mesh, each with a remedy."""
     if reader == "abaqus":
         for text, plain, hint in IGNORED_LINES:
             lines = re.finditer(text, data, re.IGNORECASE | re.MULTILINE)
@@ -195,10 +195,10 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
 
 def _extend_meshio(reader: str, file: Path) -> None:
-    """Add readers that meshio lacks: prisms of 15 nodes, elements of Abaqus, continued Nastran
-    lines.
+    """Add features that meshio's readers lack.
 
-    A Nastran ``file``, which is a copy of the user's file, is replaced.
+    The features are prisms of 15 nodes, elements of Abaqus, and continuation lines of Nastran. For
+    continuation lines, the ``file``, which is a copy of the user's file, is written again.
     """
     import_module("meshio._mesh").topological_dimension.setdefault("wedge15", 3)
     if reader == "abaqus":
@@ -223,11 +223,11 @@ def _name_abaqus_type(name: str) -> str | None:
 def require_unv_elements(data: bytes, where: str) -> None:
     """Reject elements of a UNV file whose number of nodes does not match their type.
 
-    gmsh writes such elements of 9, 18 and 27 nodes, and reads only their corners.
+    gmsh writes such elements with 9, 18 and 27 nodes, but reads only their corners.
 
     Raises
     ------
-    UsageError : an element has another number of nodes.
+    UsageError : an element has another number of nodes than its type.
     """
     for dataset in _UNV_ELEMENTS.findall(data):
         lines = iter(dataset.splitlines())
@@ -246,7 +246,7 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
-    """List the faces of elements by their corners, including inner faces."""
+    """List the faces of elements as rows of corners, including inner faces."""
     corners = cells.shape[1]
     if dimension == 2:
         return [cells[:, [k, (k + 1) % corners]] for k in range(corners)]
@@ -256,7 +256,7 @@ def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
 def _collect_element_sets(
     mesh: Any, file: str, reader: str, dimensions: np.ndarray
 ) -> dict[tuple[str, int], np.ndarray]:
-    """Return the numbers of elements of each set, by name and dimension."""
+    """Return the numbers of the elements of each set, keyed by the set's name and dimension."""
     result: dict[tuple[str, int], np.ndarray] = {}
     starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
     named = list(_list_named_sets(mesh, file, reader, starts))
@@ -295,7 +295,7 @@ def _list_named_sets(
 
 
 def _exodus_block_names(file: str) -> Iterator[tuple[str, int]]:
-    """Names of the element blocks, or their numbers, and their places in the file."""
+    """Return the positions of the element blocks in the file, keyed by name or number."""
     with import_optional("netCDF4", file).Dataset(file) as data:
         places = [int(key[7:]) - 1 for key in data.variables if re.fullmatch(r"connect\d+", key)]
         numbers = data.variables["eb_prop1"][:] if "eb_prop1" in data.variables else None
@@ -348,7 +348,7 @@ def _add_node_set(
 
 
 def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
-    """Return gmsh's number of an element kind of first or second order."""
+    """Return gmsh's number of a linear or quadratic kind of element."""
     if shape == "Point":
         return 15
     if nodes == corners:
@@ -371,8 +371,8 @@ def _order_nodes(
 ) -> np.ndarray:
     """Order the nodes on edges and faces as in gmsh, according to their positions.
 
-    Programs number these nodes differently. The order minimises the distances from the places on
-    elements with straight edges.
+    Programs number these nodes differently. The chosen order minimises the distances of the nodes
+    from their positions on elements with straight edges.
     """
     extra = nodes[:, corners:]
     if not extra.size:

@@ -1,4 +1,4 @@
-"""Nodes that touching solids share: merging them, and errors of meshes that do not match."""
+"""Merging of nodes of touching solids, and errors about meshes that do not match."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ COINCIDENCE_TOLERANCE = 1e-3  # distance of coincident nodes, relative to the sh
 
 
 def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Number the nodes (n,) so that nodes at most ``distance`` [m] apart are one.
+    """Number the nodes (n,) so that nodes at most ``distance`` [m] apart have the same number.
 
-    Only nodes of elements are numbered.
+    Nodes that belong to no element keep their numbers.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     same = lowest[label]
     cells = divide_cells(blocks)[0]
     if (np.diff(np.sort(same[cells], axis=1), axis=1) == 0).any():
-        shortest = f"less than the shortest edge, {_shortest_edge(points, cells):.4g} m"
+        shortest = f"less than the shortest edge, {_find_shortest_edge(points, cells):.4g} m"
         raise wrong(
             "merge",
             "the merge distance exceeds the shortest edge of an element",
@@ -50,8 +50,8 @@ def _find_used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
     return np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
 
 
-def _shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
-    """Length of the shortest edge of triangles or tetrahedra."""
+def _find_shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
+    """Return the length of the shortest edge of triangles or tetrahedra."""
     i, j = np.triu_indices(cells.shape[1], 1)
     return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
 
@@ -62,22 +62,21 @@ def require_joined(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Reject solids that touch and share no nodes.
+    """Reject solids that touch but share no nodes, because they would not be connected.
 
-    Such solids would not be connected.
-
-    ``points`` (n, d) [m], ``blocks`` of elements, ``owners`` the numbers of the elements of each
-    named group.
+    ``points`` (n, d) [m] are the positions of the nodes. ``owners`` maps the name of each group to
+    the numbers of its elements.
 
     Raises
     ------
-    UsageError : nodes at one place, or nodes of one piece on the surface of another.
+    UsageError : two nodes are at the same place, or a node of one piece of the mesh is on the
+        surface of another piece.
     """
     # imported here, so that a scene without a mesh does not load it
     from scipy.spatial import cKDTree
 
     cells = divide_cells(blocks)[0]
-    near = COINCIDENCE_TOLERANCE * _shortest_edge(points, cells)
+    near = COINCIDENCE_TOLERANCE * _find_shortest_edge(points, cells)
     used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
     expected = "one node for all elements that are joined there"
@@ -87,7 +86,7 @@ def require_joined(
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
         hint = f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}'
         raise wrong(where, "solids touch but share no nodes", got, expected, hint)
-    strays = _nodes_on_other_pieces(points, cells, near)
+    strays = _find_nodes_on_other_pieces(points, cells, near)
     if strays.size:
         got = f"{strays.size} nodes on the surface of another piece, "
         got += _describe_nodes(points, strays, blocks, owners)
@@ -95,7 +94,7 @@ def require_joined(
         raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
 
 
-def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
+def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
     """Find nodes on the surface of another piece of the mesh.
 
     The ``cells`` (k, d + 1) are triangles or tetrahedra.
@@ -123,11 +122,11 @@ def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -
 
 
 def _is_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points (n, d) closer than ``near`` to their simplex.
+    """Return a mask (n,) of the points ``places`` closer than ``near`` to their simplex.
 
-    The simplices are (n, corners, d).
-
-    The foot of the perpendicular is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``.
+    The points are (n, d), and the simplices (n, corners, d). The foot of the perpendicular from x
+    is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``. Here ``s_0`` is a corner, and the columns of J
+    are the edges from this corner.
     """
     J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
     arm = (places - simplices[:, 0])[:, :, None]
@@ -144,7 +143,7 @@ def _describe_nodes(
     blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],
 ) -> str:
-    """Describe the box of nodes in millimetres, and the groups of their elements."""
+    """Describe the bounding box of nodes in millimetres, and the groups of their elements."""
     axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
     spans = []
     for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):
@@ -157,7 +156,7 @@ def _describe_nodes(
 
 
 def _format_length(length: float) -> str:
-    """Format a length with one digit and a prefix."""
+    """Format a length with one digit and an SI prefix."""
     for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
         if length >= factor:
             return f"{length / factor:.1g} {unit}"

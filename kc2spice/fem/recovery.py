@@ -1,20 +1,20 @@
 """Error estimates of strain and electric field in hexahedra.
 
-Around every corner of the mesh a polynomial is fitted to the strain and field of the adjacent
+Around every corner of the mesh, a polynomial is fitted to the strain and field of the adjacent
 elements. The least-squares fit uses the points of an element at which strain and field are most
-accurate. Linear shape functions blend the polynomials to the recovered strain and field, which are
-more accurate than strain and field of the elements. Their difference d = (dS, dE) measures the
-error in the energy product
+accurate. Weighted by linear shape functions, the polynomials give the recovered strain and field,
+which are more accurate than strain and field of the elements. The difference (dS, dE) between
+recovered and original strain and field gives the energy product of the errors of two solutions:
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
-of two solutions. A fit stays within one piece of materials of one name, in which no strain jumps.
-In layers of one name, whose coupling is s times the coupling of the first, the field times s is
-continuous, as in a stack with alternating poling and electrodes. Elements of first order need
-these neighbours, because their field in a layer is constant. With elements of second order each
-layer is a piece: strain and field jump at electrodes by the change of the mean strain from layer
-to layer. Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E.
-Wiberg and F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
+A fit stays within one piece, whose materials have the same name, so that strain is continuous. In a
+stack with alternating poling, the coupling of a layer is s times the coupling of the first layer,
+and the field times s is continuous. Linear elements need neighbouring layers, because their field
+in a layer is constant. With quadratic elements, each layer is a piece: strain and field jump at
+electrodes by the change of the mean strain from layer to layer. Sources: O. C. Zienkiewicz and J.
+Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F. Abdulwahab, Int. J. Numer.
+Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
-# Penalty on the squared coefficients of first degree, relative to the mean of the normal matrix of
-# a fit; coefficients of degree p have p^2 times this penalty. It determines coefficients that the
-# points leave undetermined.
+# Penalty on the squares of first-degree coefficients, relative to the mean of the normal matrix of
+# a fit. Coefficients of degree p have p^2 times this penalty. The penalty determines the
+# coefficients that the points of the fit do not determine.
 RIDGE_PENALTY = 1e-6
-# squared distance from the middle of a patch, relative to its size, by which another patch is
-# penalised
+# penalty of a neighbouring patch in the choice of a corner's patch: squared distance from the
+# middle of a patch, relative to its size
 NEIGHBOUR_PENALTY = 0.5
 
 
@@ -45,8 +45,7 @@ class EnergyProducts:
     """Energy products (k, k) of k solutions and of their errors.
 
     ``solution`` contains the products of solutions, and ``error`` the products of their errors.
-
-    ``spread`` sums the absolute contributions of the elements to ``error``.
+    ``spread`` is the sum of the absolute contributions of the elements to ``error``.
     """
 
     solution: np.ndarray
@@ -59,17 +58,17 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
 
     The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
     """
-    patches = _Patches.of(solid, u, phi)
+    patches = _Patches.fit(solid, u, phi)
     k = u.shape[1]
     solution, error, spread = np.zeros((3, k, k))
     for cells in _split_chunks(solid.mesh.nelements):
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         energy = np.zeros((len(cells), k, k))
-        hats = _linear_shape_functions(basis.X)
+        hats = _evaluate_linear_shape_functions(basis.X)
         points = zip(
             _evaluate_fields(solid, basis, cells, u, phi),
-            _energy_matrices(solid, basis, cells),
+            _list_energy_matrices(solid, basis, cells),
             strict=True,
         )
         for q, (field, H) in enumerate(points):
@@ -83,7 +82,7 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
 
 
 def _split_chunks(count: int) -> Iterator[np.ndarray]:
-    """Divide the numbers below ``count`` into arrays of :data:`CHUNK_SIZE` numbers."""
+    """Divide the numbers from 0 to ``count - 1`` into arrays of :data:`CHUNK_SIZE` numbers."""
     return (
         np.arange(start, min(start + CHUNK_SIZE, count)) for start in range(0, count, CHUNK_SIZE)
     )
@@ -92,11 +91,10 @@ def _split_chunks(count: int) -> Iterator[np.ndarray]:
 def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield strains and fields (elements, 9, k) at each point of ``basis``.
+    """Yield strains and electric fields (elements, 9, k) at each point of ``basis``.
 
-    The elements are ``cells``.
-
-    Fields are multiplied by the factor of their material.
+    The elements are ``cells``. The electric field is multiplied by the coupling factor of the
+    material.
     """
     d, nodes = solid.components, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -106,17 +104,19 @@ def _evaluate_fields(
 
 
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
-    """Coupling (materials,) relative to the first material of the same name."""
+    """Compute the coupling (materials,) relative to the first material of the same name."""
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
     return np.array([np.sum(e * e0) / np.sum(e0 * e0) if e.any() else 1.0 for e, e0 in pairs])
 
 
-def _energy_matrices(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Iterator[np.ndarray]:
+def _list_energy_matrices(
+    solid: Solid, basis: skfem.Basis, cells: np.ndarray
+) -> Iterator[np.ndarray]:
     """Yield ``[[C, -e'], [-e, -eps]]`` (elements, 9, 9) at each point of ``basis``.
 
-    Fields are multiplied by the factor of their material. A material without coupling and
-    permittivity has no field.
+    The matrices are for electric fields that are multiplied by the coupling factor of the material.
+    A material that is neither piezoelectric nor dielectric has no field.
     """
     owner, factors = solid.owner[cells], _compute_coupling_factors(solid)
     constants = [list_tensors(solid, basis, material) for material in solid.materials]
@@ -136,14 +136,14 @@ def _energy_matrices(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Ite
         yield H
 
 
-def _linear_shape_functions(X: np.ndarray) -> np.ndarray:
-    """Linear shape functions (points, corners) at points ``X`` (d, points)."""
+def _evaluate_linear_shape_functions(X: np.ndarray) -> np.ndarray:
+    """Return the linear shape functions (points, corners) at points ``X`` (d, points)."""
     element = skfem.ElementHex1()
     return np.array([element.lbasis(X, i)[0] for i in range(len(element.doflocs))]).T
 
 
-def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Monomials (…, terms) of coordinates ``x`` (…, d), and their degrees."""
+def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the monomials (…, terms) of coordinates ``x`` (…, d), and their degrees."""
     dimensions = range(x.shape[-1])
     powers = list[tuple[int, ...]]()
     for total in range(degree + 1):
@@ -156,8 +156,7 @@ def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
 class _Patches:
     """Polynomials that are fitted to the fields in patches of elements.
 
-    The ``coefficients`` (patches, terms, 9 k) belong to polynomials in ``(x - middle) / size``.
-
+    The polynomials in ``(x - middle) / size`` have ``coefficients`` (patches, terms, 9 k).
     ``number`` (elements, corners) is the patch of each corner of each element.
     """
 
@@ -168,13 +167,15 @@ class _Patches:
     degree: int
 
     @staticmethod
-    def of(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
+    def fit(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
         degree = solid.order
         places, samples = _sample_fields(solid, u, phi, solid.order)
         number, middle = _number_corners(solid)
-        members = _widen_patches(_patch_elements(number, len(middle)), number, middle, places)
+        members = _widen_patches(
+            _assign_patch_elements(number, len(middle)), number, middle, places
+        )
         size, sums, right = _assemble_normal_equations(members, middle, places, samples, degree)
-        degrees = _monomials(middle[:1], degree)[1]
+        degrees = _evaluate_monomials(middle[:1], degree)[1]
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
         sums += RIDGE_PENALTY * mean[:, None, None] * np.diag(degrees**2)
         coefficients = np.linalg.solve(sums, right)
@@ -183,15 +184,14 @@ class _Patches:
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
         """Evaluate strains and fields (elements, 9, k) at one point of each element.
 
-        The points are ``at`` (elements, d).
-
-        The linear shape functions of the elements at these points are ``hats`` (corners,).
+        The points are ``at`` (elements, d). At these points, the linear shape functions of the
+        elements have the values ``hats`` (corners,).
         """
         result = 0.0
         for corner, hat in enumerate(hats):
             patch = self.number[cells, corner]
             x = (at - self.middle[patch]) / self.size[patch]
-            terms = hat * _monomials(x, self.degree)[0]
+            terms = hat * _evaluate_monomials(x, self.degree)[0]
             result = result + np.einsum("et,ets->es", terms, self.coefficients[patch])
         return np.reshape(result, (len(cells), 9, -1))
 
@@ -199,9 +199,9 @@ class _Patches:
 def _sample_fields(
     solid: Solid, u: np.ndarray, phi: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute places (elements, points, d) and values to be fitted.
+    """Compute the strains and fields to be fitted, and the positions of their points.
 
-    The values are (elements, points, 9 k).
+    The positions are (elements, points, d), and the values are (elements, points, 9 k).
     """
     places, values = [], []
     for cells in _split_chunks(solid.mesh.nelements):
@@ -213,9 +213,9 @@ def _sample_fields(
 
 
 def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Number the corners (elements, corners) of pieces of one material.
+    """Number the corners (elements, corners) separately in each piece of one material.
 
-    The second result contains the positions of the corners.
+    The second result contains the positions of the corners by number.
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
@@ -229,8 +229,8 @@ def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
     return number.reshape(corners.shape), solid.places[:, known % nodes].T
 
 
-def _patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Incidence matrix (patches, elements) of elements at the corner of a patch."""
+def _assign_patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
+    """Return a matrix (patches, elements) that is 1 for the elements at a patch's corner."""
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
     result = sparse.csr_array((ones, (number.ravel(), elements)), shape=(count, len(number)))
@@ -245,9 +245,10 @@ def _assemble_normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute sizes (patches, d) of patches, and sums over points with monomials p.
+    """Compute the sizes (patches, d) of patches, and the normal equations of their fits.
 
-    The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
+    With the monomials p at each point, the normal equations consist of ``sum p p'`` (patches,
+    terms, terms) and ``sum p values`` (patches, terms, 9 k).
     """
     sizes, sums, rights = [], [], []
     for chosen in _split_chunks(len(middle)):
@@ -257,7 +258,7 @@ def _assemble_normal_equations(
         first, patch = members.indptr[chosen] - start, np.repeat(chosen, counts)
         arm = places[elements] - middle[patch, None]
         size = np.maximum.reduceat(np.abs(arm).max(axis=1), first)
-        P, _ = _monomials(arm / np.repeat(size, counts, axis=0)[:, None], degree)
+        P, _ = _evaluate_monomials(arm / np.repeat(size, counts, axis=0)[:, None], degree)
         turned = P.transpose(0, 2, 1)
         sizes.append(size)
         sums.append(np.add.reduceat(turned @ P, first))
@@ -286,8 +287,8 @@ def _choose_patches(
 ) -> np.ndarray:
     """Choose the patch of each corner (patches,): its own patch or a neighbouring patch.
 
-    The corner of the chosen patch is closer to the middle of the points of this patch. Corners at
-    edges of the body are far from the middle of the points of their patch.
+    The chosen patch is the one whose points surround its own corner most evenly. At the surface of
+    the body, the points of a patch are all on one side of its corner.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

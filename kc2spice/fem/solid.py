@@ -2,16 +2,18 @@
 
 The elements are tetrahedra, hexahedra, or axisymmetric triangles and quadrilaterals.
 
-Weak form of ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E`` and
-``E = -grad phi``, for a displacement u and a potential phi on the nodes of one scalar element:
+The equations are ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E``
+and ``E = -grad phi``. Their weak form has these matrices for displacements u and potentials phi of
+the nodes:
 
     M    = int rho v u          K_uu = int S(v)' C S(u)
     K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
 
-Displacement unknowns are numbered ``d node + axis`` with d components (3; of an axisymmetric
-mesh r and z), potentials by node. Strains are in Voigt order xx yy zz yz xz xy, engineering
-shear; of an axisymmetric body x is radial, y the hoop direction, and volumes cover the full turn.
-Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
+A displacement has d components: 3, or the two components r and z in an axisymmetric mesh. The
+unknown of component ``axis`` at a node has the number ``d node + axis``, and a potential has the
+number of its node. Strains are in Voigt order xx yy zz yz xz xy with engineering shear strains. In
+an axisymmetric body, x is the radial and y the hoop direction, and integrals extend over the full
+turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
 """
 
 from __future__ import annotations
@@ -30,27 +32,28 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
-FACE_QUADRATURE = 5  # order of integration: exact for a quadratic function times the radius
+FACE_QUADRATURE = 5  # degree of exact integration: a quadratic function times the radius
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
 # Voigt row of the derivative of component i with respect to coordinate j.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-# Coordinates of a mesh among x, y and z, by its dimension: a height, a meridian plane, space.
+# Coordinates (0 to 2: x, y, z) of a mesh, keyed by its dimension: a height, a meridian plane,
+# space.
 _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
-# Largest change of all local coordinates in the last Newton step in elements that are so thin that
-# rounding of global coordinates exceeds the default; the convergence is quadratic.
+# Largest change of local coordinates in the last Newton step in thin elements, where rounding
+# errors of global coordinates exceed scikit-fem's tolerance. The convergence is quadratic.
 THIN_ELEMENT_TOLERANCE = 1e-8
 
 
 class FacetMapping(MappingIsoparametric):
-    """Mapping of elements, whose inverse also converges in elements a micrometre thin."""
+    """Mapping of elements whose inverse also converges in elements of a micrometre thickness."""
 
     def invF(self, x: np.ndarray, tind: Any = None, **options: Any) -> np.ndarray:
-        """Return local coordinates of points."""
+        """Return the local coordinates of points ``x`` in the elements ``tind``."""
         try:
             return np.asarray(super().invF(x, tind, **options))
-        except Exception:  # skfem raises no narrower class
+        except Exception:  # scikit-fem raises no more specific class
             options["newton_tol"] = THIN_ELEMENT_TOLERANCE
             return np.asarray(super().invF(x, tind, **options))
 
@@ -59,13 +62,14 @@ class FacetMapping(MappingIsoparametric):
 class Solid:
     """Mesh whose element ``k`` consists of ``materials[owner[k]]``, already poled.
 
-    The shape functions have the ``order`` (1 on hexahedra only). Materials with the same name are
-    one material in reports. ``numbers`` (l, elements) are the node numbers of each element if they
-    differ from scikit-fem: nodes of collapsed edges and faces share a number.
+    The shape functions have the degree ``order``: 2, or 1 on hexahedra. Materials with the same
+    name are one material in reports. ``numbers`` (l, elements) are the node numbers of each element
+    if they differ from the numbers of scikit-fem, because nodes of collapsed edges and faces have
+    the same number.
 
     Raises
     ------
-    UsageError : an element is turned inside out, or an axisymmetric mesh crosses the axis.
+    UsageError : an element has a negative volume, or an axisymmetric mesh crosses the axis.
     """
 
     mesh: Mesh
@@ -100,17 +104,17 @@ class Solid:
 
     @property
     def components(self) -> int:
-        """Components of the displacement."""
+        """Number of components of the displacement."""
         return self.mesh.dim()
 
     @property
     def axes(self) -> np.ndarray:
-        """Coordinates of the mesh among x, y and z."""
+        """Indices of the mesh coordinates among x, y and z."""
         return _COORDINATE_AXES[self.mesh.dim()]
 
     @property
     def element(self) -> Any:
-        """The scalar element of the mesh."""
+        """Scalar finite element of the mesh."""
         mesh = self.mesh
         if isinstance(mesh, MeshHex):
             return skfem.ElementHex1() if self.order == 1 else skfem.ElementHex2()
@@ -122,11 +126,11 @@ class Solid:
 
     @property
     def quadrature(self) -> int:
-        """Order of integration: exact for the mass of a straight quadratic tetrahedron."""
+        """Degree of exact integration, sufficient for the mass of straight quadratic tetrahedra."""
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
-        """Scalar finite-element basis; this package calls its degrees of freedom nodes."""
+        """Return the scalar finite-element basis, whose degrees of freedom are called nodes."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
@@ -134,7 +138,7 @@ class Solid:
     def facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
-        """Return the scalar basis on facets, seen from the element on one ``side``."""
+        """Return the scalar basis on facets, with shape functions of the element on ``side``."""
         options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._nodes}
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
@@ -144,7 +148,7 @@ class Solid:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """(d, nodes) positions [m] of the nodes."""
+        """Positions (d, nodes) [m] of the nodes."""
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
@@ -156,13 +160,13 @@ class Solid:
         return result
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
-        """Numbers of the nodes of some elements."""
+        """Return the numbers of the nodes of some elements."""
         return np.unique(self.basis(1).element_dofs[:, elements])
 
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """Matrices over all nodes of a solid, without constraints; see the module."""
+    """Matrices over all nodes of a solid without constraints; the module docstring defines them."""
 
     M: sparse.csc_array
     K_uu: sparse.csc_array
@@ -173,10 +177,10 @@ class Operators:
 def list_strain_operators(
     solid: Solid, basis: skfem.Basis
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield values and strain operators at each point of ``basis``.
+    """Yield shape functions and strain operators at each point of ``basis``.
 
-    The yielded arrays are the values N (elements, l), the strain operator B (elements, 6, l d) and
-    the gradient G (elements, 3, l) of the l local shape functions.
+    The yielded arrays are the values N (elements, l) and the gradients G (elements, 3, l) of the l
+    local shape functions, and the strain operator B (elements, 6, l d), in the sequence N, B, G.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.components, solid.axes
@@ -192,7 +196,7 @@ def list_strain_operators(
                 B[:, VOIGT_ROWS[x, y], :, i] += slope[j]
         if solid.axisymmetric:
             r = radius[:, q, None]
-            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # on the axis, u_r / r is the derivative
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # on the axis, u_r / r is the derivative of u_r
             B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
         yield value, B.reshape(len(B), 6, -1), G
 
@@ -202,8 +206,9 @@ def list_tensors(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield stiffness, coupling and permittivity at each point of ``basis``.
 
-    The tensors of the ``material`` are in the axes of the solid, (elements or 1, …). The axes of an
-    axisymmetric solid are cylindrical.
+    The tensors of the ``material`` are in the axes of the solid. Their first dimension is the
+    number of elements, or 1 if all elements have the same tensors. The axes of an axisymmetric
+    solid are cylindrical.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
     elements = np.arange(len(places)) if basis.tind is None else basis.tind
@@ -216,7 +221,7 @@ def list_tensors(
 
 
 def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield materials with at most ``CHUNK_SIZE`` of their elements.
+    """Yield each material with groups of at most ``CHUNK_SIZE`` of its elements.
 
     ``only`` selects one material.
     """
@@ -230,9 +235,8 @@ def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np
 def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     """Assemble the matrices of a solid.
 
-    Coupling and permittivity are those of piezoelectric or dielectric materials.
-
-    With ``only``, the matrices of only this material are assembled.
+    Only piezoelectric and dielectric materials contribute to coupling and permittivity. If ``only``
+    is a material, the matrices contain only its elements.
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
@@ -252,7 +256,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (C @ B))
             if any(material.residual_stress):
-                k = k + w * _stress_stiffness(solid, material, N, B, G)
+                k = k + w * _compute_stress_stiffness(solid, material, N, B, G)
             if field:
                 c = c + w * (B.transpose(0, 2, 1) @ (e.transpose(0, 2, 1) @ G))
                 p = p + w * (G.transpose(0, 2, 1) @ (eps @ G))
@@ -268,13 +272,13 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     return Operators(M, symmetrise(K_uu), K_up, symmetrise(K_pp))
 
 
-def _stress_stiffness(
+def _compute_stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
     """Return the stiffness (elements, l d, l d) due to prestress: ``grad v . sigma0 grad u``.
 
-    The same matrix applies to each component. Rotation of the hoop direction adds ``sigma0_y v_r
-    u_r / r^2``.
+    This expression is the same for each component of u. In axisymmetric solids, rotation of the
+    hoop direction adds ``sigma0_y v_r u_r / r^2``.
     """
     d, sigma = solid.components, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
@@ -288,10 +292,10 @@ def _stress_stiffness(
 def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """Shares of nodes ``int N / int 1`` (nodes,) over facets or elements.
+    """Compute the share ``int N / int 1`` of each node (nodes,) in facets or elements.
 
-    The integrals of a body of revolution are over the full turn. The cross-section of a line is
-    constant over the facets or elements.
+    The integrals of a body of revolution extend over the full turn. A line has a constant
+    cross-section in the facets or elements.
     """
     basis = (
         solid.facet_basis(facets, 4) if facets is not None else solid.basis(4, elements=elements)
@@ -302,9 +306,10 @@ def compute_node_shares(
 
 
 def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
-    """Volume that a boundary displaces per displacement: ``int N n dS`` (d nodes,) [m^2].
+    """Compute the volume per displacement that a boundary displaces (d nodes,) [m^2].
 
-    n is the outward normal. The integrals of a body of revolution are over the full turn.
+    It is ``int N n dS`` with the outward normal n. The integrals of a body of revolution extend
+    over the full turn.
     """
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
@@ -315,7 +320,7 @@ def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 
 def compute_area(solid: Solid, facets: np.ndarray) -> float:
-    """Area of a boundary [m^2]; that of a body of revolution is the area of the full turn."""
+    """Compute the area [m^2] of a boundary, for a body of revolution over the full turn."""
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
     return float((basis.dx * around).sum())
@@ -324,7 +329,7 @@ def compute_area(solid: Solid, facets: np.ndarray) -> float:
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:
-    """Sum element matrices (elements, l, k), each with the numbers of its rows and columns."""
+    """Sum element matrices (elements, l, k); each has arrays of row numbers and column numbers."""
     total = sparse.csc_array(shape)
     for values, rows, columns in parts:
         i = np.broadcast_to(rows[:, :, None], values.shape).ravel()
@@ -334,5 +339,5 @@ def sum_matrices(
 
 
 def symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Remove the last-digit asymmetry of sums."""
+    """Return a matrix without the asymmetry that rounding errors cause."""
     return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -31,11 +31,9 @@ class ThermalMaterial(EqualByContent):
 
     Attributes
     ----------
-    name : of the library, or of the group of the mesh.
-    density : kg/m^3.
-    specific_heat : J/(kg K), at constant pressure.
-    conductivity : (3,) W/(m K) along x, y and z; in a body of revolution, along the radius, around
-    the axis and along the axis.
+    name : name in the library, or name of the group of the mesh. density : density [kg/m^3].
+    specific_heat : specific heat at constant pressure [J/(kg K)]. conductivity : (3,) [W/(m K)]
+    along x, y and z; in a body of revolution, along the radius, around the axis and along the axis.
     """
 
     name: str
@@ -45,7 +43,7 @@ class ThermalMaterial(EqualByContent):
 
     @property
     def capacity(self) -> float:
-        """Heat capacity of a unit of volume [J/(m^3 K)]."""
+        """Heat capacity per volume [J/(m^3 K)]."""
         return self.density * self.specific_heat
 
 
@@ -74,7 +72,7 @@ class ThermalMaterialTable(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _inherit(cls, data: Any) -> Any:
+    def _inherit_constants(cls, data: Any) -> Any:
         """Add the constants of the material ``like`` that the table omits."""
         if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
             return data
@@ -93,21 +91,21 @@ class ThermalMaterialTable(Section):
         return self
 
     def build(self, name: str) -> ThermalMaterial:
-        """Return the material under this name."""
+        """Return the material of the table with the name ``name``."""
         conductivity = np.broadcast_to(np.asarray(self.conductivity, float), 3).copy()
         return ThermalMaterial(name, self.density, self.specific_heat, conductivity)
 
 
 @cache
 def _load_tables() -> Mapping[str, dict[str, Any]]:
-    """Return the tables of the file by name; some contain no density."""
+    """Return the tables of the library file, keyed by name; some contain no density."""
     path = Path(__file__).parent / "thermal_materials.toml"
     return tomllib.loads(path.read_text("utf-8"))
 
 
 @cache
 def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
-    """Return the tables of the library by name, each with its density."""
+    """Return the tables of the library with a density each, keyed by name."""
     result = {}
     for name, table in _load_tables().items():
         density = {} if "density" in table else {"density": material(name).density}
@@ -117,14 +115,14 @@ def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
 
 @cache
 def list_thermal_names() -> Mapping[str, str]:
-    """Names of the library by these names in lower case."""
+    """Return the names of the library's materials, keyed by the name in lower case."""
     return {name.lower(): name for name in _load_tables()}
 
 
 def find_thermal_material(
     name_or_table: str | Mapping[str, Any], where: str = "material"
 ) -> ThermalMaterial:
-    """Return a material by its name in the library, in any case, or from a table.
+    """Return a material of the library by its name, in upper or lower case, or from a table.
 
     Raises
     ------

@@ -19,21 +19,27 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
 from kc2spice.linalg.processor import use_fast_kernels
-from kc2spice.linalg.solver import DirectSolver, factorise_by, solve_by, supplied_solver
+from kc2spice.linalg.solver import (
+    DirectSolver,
+    factorise_with_solver,
+    solve_with_factor,
+    supplied_solver,
+)
 
 USABLE_MEMORY_SHARE = 0.9
-# Entries of the LU factors divided by n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
+# Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth): 4 for chains, 9
+# for plates, 34 for solids.
 FILL_FACTOR = 34.0
-REAL_BYTES = 12.0  # bytes of a real entry of a factor: the number and half an index
-ENTRY_BYTES = 24.0  # bytes of a complex entry of a factor: the number, its index, and work space
+REAL_BYTES = 12.0  # memory of a real entry of a factor: its value and half of an index
+ENTRY_BYTES = 24.0  # memory of a complex entry of a factor: its value, its index, and work space
 
 
-def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
+def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
     """Raise an error if ``need`` [B] exceeds the memory that is free now.
 
     Raises
     ------
-    UsageError : the machine has less memory.
+    UsageError : less than ``need`` is free.
     """
     free = USABLE_MEMORY_SHARE * available_bytes()
     if need > free:
@@ -46,15 +52,15 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
         )
 
 
-def require_factors(
+def require_memory_for_factors(
     matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False, where: str = "reduction"
 ) -> None:
     """Raise an error if the factors of a reduction exceed the memory that is free now.
 
-    One factorisation is real and one is complex; the estimate is up to five times too large
-    for plates. A ``definite`` or quasi-definite matrix needs only one factor without pivoting,
-    with half of the entries. With a supplied solver nothing is compared, because its memory is not
-    known. ``where`` names the work in the error.
+    A reduction needs one real and one complex factor. For plates, the estimate of their memory is
+    up to five times too large. A ``definite`` or quasi-definite matrix needs only one factor
+    without pivoting, which has half of the entries. If the user supplies a solver, this function
+    does nothing, because the memory of this solver is unknown. ``where`` is the place of the error.
 
     Raises
     ------
@@ -62,7 +68,8 @@ def require_factors(
     """
     rows = matrix.shape[0]
     size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
-    # the bandwidth is at most the number of rows; its computation takes as long as an assembly
+    # The bandwidth is at most the number of rows. Its computation takes as long as an assembly, so
+    # the number of rows is tried first.
     if (
         supplied_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
@@ -74,7 +81,7 @@ def require_factors(
     place[order] = np.arange(rows)
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
-    require_bytes(
+    require_memory(
         size * max(FILL_FACTOR * rows * np.sqrt(band), pattern.nnz),
         f"{rows} factorised equations",
         where=where,
@@ -84,18 +91,19 @@ def require_factors(
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# Residuals of a backward-stable solver are about 1e-15; the limit leaves four digits for growth.
+# Residuals of a backward-stable solver are about 1e-15; the limit permits 10^4 times larger ones.
 RESIDUAL_LIMIT = 1e-11
-# Factors without pivoting lose digits; each refinement step gains as many digits as the factor has.
+# Factors without pivoting lose digits. If k digits of a factor are correct, each refinement step
+# makes k more digits of the solution correct.
 MAX_REFINEMENTS = 3
-# Half-bandwidth up to which a banded factor costs less than the search for a better order.
+# Half-bandwidth up to which a banded factor costs less than the search for an elimination order.
 MAX_HALF_BANDWIDTH = 600
 # Number of unknowns from which a multifrontal factor in Python takes less time than SuperLU.
 QUASI_DEFINITE_UNKNOWNS = 20_000
 # Number of unknowns from which nested dissection saves more time than it needs.
 DISSECTION_UNKNOWNS = 5000
 _LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
-# number of stored elimination orders: a reduction factorises matrices of one or two patterns
+# number of stored elimination orders: a reduction uses matrices of one or two sparsity patterns
 _STORED_ORDERS = 2
 _orders: dict[bytes, np.ndarray | None] = {}
 
@@ -107,7 +115,8 @@ class Factor:
     ``order`` (n,) is the order of elimination, None if the solver chose it. ``negative`` is the
     number of negative eigenvalues, None if it is unknown.
 
-    A solution beyond ``RESIDUAL_LIMIT`` is refined first: ``x + A^-1 (rhs - A x)`` (Skeel 1980).
+    A solution ``x`` whose backward error exceeds ``RESIDUAL_LIMIT`` is refined to ``x + A^-1 (rhs -
+    A x)`` first (Skeel 1980).
     """
 
     matrix: scipy.sparse.csc_array
@@ -123,8 +132,8 @@ class Factor:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
 
-        Missing rows of a right-hand side are zero. The solution then contains only the unknowns of
-        the right-hand side, which come before the eliminated unknowns.
+        If ``rhs`` has fewer rows than ``A``, the other rows of the right-hand side are zero, and
+        the solution contains only the first ``len(rhs)`` unknowns.
 
         Raises
         ------
@@ -164,14 +173,14 @@ def factorise_supernodal(
 ) -> Inverse:
     """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
 
-    If the order ``p`` is None, the minimum degree order is used.
+    If the order ``p`` is None, CHOLMOD uses the minimum degree order.
 
     Raises
     ------
-    RuntimeError : not positive definite.
+    RuntimeError : the matrix is not positive definite.
     """
     with use_fast_kernels():
-        import cvxopt.cholmod  # imported here, because only one of three solvers needs it
+        import cvxopt.cholmod  # imported here, because the other solvers do not need it
 
     lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
     places = lower.row.astype(np.int64), lower.col.astype(np.int64)
@@ -197,30 +206,34 @@ def factorise(
 ) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
-    A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
-    factor, which costs n b^2 operations and no fill, any other definite matrix a supernodal
-    Cholesky factor; all other matrices the factor of :func:`factorise_two_sided`. An ``order`` of
-    elimination that is known from a matrix of a similar pattern makes the search for an order
-    unnecessary. A supplied solver is used for a definite matrix only if it counts negative
-    eigenvalues.
+    A positive definite matrix of half-bandwidth b gets a banded Cholesky factor if b is small. This
+    factor costs n b^2 operations. A positive definite matrix with a larger bandwidth gets a
+    supernodal Cholesky factor. All other matrices get the factor of :func:`factorise_two_sided`.
+
+    An elimination ``order`` that is known from a matrix with a similar pattern makes the search for
+    an order unnecessary. The solver of a user factorises a definite matrix only if this solver
+    counts negative eigenvalues.
 
     Raises
     ------
-    SimulationError : ``definite`` was promised and is not true, or the matrix is singular.
+    SimulationError : the matrix is singular, or ``definite`` is true for an indefinite matrix.
     """
     if not definite:
         return factorise_two_sided(matrix, symmetric=True)[0]
     solver = supplied_solver()
-    if solver is not None and (factor := _factorise_definite_by(solver, matrix)) is not None:
+    if (
+        solver is not None
+        and (factor := _factorise_definite_with_solver(solver, matrix)) is not None
+    ):
         return factor
     coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
         narrow = bandwidth <= MAX_HALF_BANDWIDTH
         if narrow:
-            order, apply = None, _factor_banded(coo, bandwidth)
+            order, apply = None, _factorise_banded(coo, bandwidth)
         else:
-            order = find_order(matrix) if order is None else order
+            order = find_elimination_order(matrix) if order is None else order
             apply = factorise_supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise _make_indefinite_error(str(error)) from error
@@ -228,7 +241,7 @@ def factorise(
 
 
 def _make_indefinite_error(got: str) -> SimulationError:
-    """Return the error of a matrix without a Cholesky factor."""
+    """Return the error for a matrix that has no Cholesky factor."""
     return SimulationError(
         "the matrix of the equations cannot be factorised",
         where="direct solver",
@@ -238,28 +251,30 @@ def _make_indefinite_error(got: str) -> SimulationError:
     )
 
 
-def _factorise_definite_by(solver: DirectSolver, matrix: scipy.sparse.csc_array) -> Factor | None:
-    """Factorise a definite matrix by a supplied solver; None if definiteness is not proven."""
-    supplied = factorise_by(solver, matrix)
+def _factorise_definite_with_solver(
+    solver: DirectSolver, matrix: scipy.sparse.csc_array
+) -> Factor | None:
+    """Factorise a matrix with the user's solver; None unless the solver proves it definite."""
+    supplied = factorise_with_solver(solver, matrix)
     negative = getattr(supplied, "negative_eigenvalues", None)
     if negative is None:
         return None
     if negative:
         raise _make_indefinite_error(f"{negative} negative eigenvalues")
-    return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs), negative=0)
+    return Factor(matrix, lambda rhs: solve_with_factor(supplied, matrix, rhs), negative=0)
 
 
-def _factorise_both_by(
+def _factorise_pair_with_solver(
     solver: DirectSolver, matrix: scipy.sparse.csc_array, symmetric: bool
 ) -> Pair:
-    """Factorise a matrix by a supplied solver, and its transpose if the matrix is unsymmetric."""
-    supplied = factorise_by(solver, matrix)
-    forward = Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
+    """Factorise a matrix and its transpose with the user's solver."""
+    supplied = factorise_with_solver(solver, matrix)
+    forward = Factor(matrix, lambda rhs: solve_with_factor(supplied, matrix, rhs))
     if symmetric:
         return forward, forward
     transpose = scipy.sparse.csc_array(matrix.T)
-    dual = factorise_by(solver, transpose)
-    return forward, Factor(transpose, lambda rhs: solve_by(dual, transpose, rhs))
+    dual = factorise_with_solver(solver, transpose)
+    return forward, Factor(transpose, lambda rhs: solve_with_factor(dual, transpose, rhs))
 
 
 def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
@@ -273,7 +288,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     ------
     SimulationError : the matrix is singular.
     """
-    order = find_order(matrix) if supplied_solver() is None else None
+    order = find_elimination_order(matrix) if supplied_solver() is None else None
     if order is not None:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -285,26 +300,26 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
             factor = Factor(matrix, apply, order, negative=int(minus.sum()))
             factor.solve(trial)
             return factor
-        # the signs of the pivots differ, so pivoting is necessary
+        # some pivots have the wrong sign, so pivoting is necessary
         except (RuntimeError, SimulationError):
-            require_factors(matrix)
+            require_memory_for_factors(matrix)
     return factorise_two_sided(matrix, symmetric=True)[0]
 
 
 def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
     """Factorise a sparse matrix and its transpose, first without pivoting if possible.
 
-    A trial solution shows whether this factor is accurate. If this fails (indefinite matrices,
-    saddle points), partial pivoting follows.
+    A symmetric matrix is factorised without pivoting first. If a trial solution with this factor is
+    inaccurate, as for an indefinite matrix, the factorisation is repeated with partial pivoting.
 
     Raises
     ------
-    SimulationError : singular.
+    SimulationError : the matrix is singular.
     """
     matrix = scipy.sparse.csc_array(matrix)
     solver = supplied_solver()
     if solver is not None:
-        return _factorise_both_by(solver, matrix, symmetric)
+        return _factorise_pair_with_solver(solver, matrix, symmetric)
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):
@@ -321,7 +336,8 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
     )
 
 
-def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
+def _factorise_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
+    """Factorise a positive definite matrix by the banded Cholesky method."""
     band = np.zeros((bandwidth + 1, coo.shape[0]))
     lower = coo.row >= coo.col
     band[(coo.row - coo.col)[lower], coo.col[lower]] = coo.data[lower]
@@ -330,13 +346,13 @@ def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 
 
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Factorise a matrix for solutions with the matrix and with its transpose.
+    """Return functions that solve with a matrix and with its transpose.
 
-    ``symmetric`` skips pivoting for size.
+    With ``symmetric``, the pivots are diagonal entries, even if they are small.
     """
     from scipy.sparse.linalg import splu
 
-    order = find_order(matrix) if symmetric else None
+    order = find_elimination_order(matrix) if symmetric else None
     lu = splu(
         matrix if order is None else scipy.sparse.csc_array(matrix[order][:, order]),
         permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
@@ -356,15 +372,16 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
     return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")
 
 
-def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    """Find an order ``p`` (n,) in which factors of ``matrix[p][:, p]`` are sparse.
+def find_elimination_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+    """Find an elimination order ``p`` (n,) with sparse factors of ``matrix[p][:, p]``.
 
     The order is computed by nested dissection (METIS in gmsh). The result is None for small
-    matrices and, with a warning, without gmsh. The solver then determines the order.
+    matrices. It is also None, with a warning, if gmsh is not installed. The solver then determines
+    the order.
 
     Unknowns whose columns have the same pattern (the unknowns of one node) stay together, so that
-    the graph equals the graph of the mesh. Only time and memory depend on the order, never a
-    result's accuracy. Orders of the last patterns are kept.
+    the graph equals the graph of the mesh. Time and memory depend on the elimination order, but the
+    accuracy of results does not. The elimination orders of the last patterns are stored.
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """
@@ -375,20 +392,20 @@ def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     pattern.update(matrix.indices.tobytes())
     key = pattern.digest()
     if key not in _orders:
-        _orders[key] = _nested_dissection(matrix)
+        _orders[key] = _order_by_dissection(matrix)
         for old in list(_orders)[:-_STORED_ORDERS]:
             del _orders[old]
     return _orders[key]
 
 
-def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+def _order_by_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Compute an elimination order by nested dissection."""
     group, first = _group_unknowns(matrix)
     columns = scipy.sparse.coo_array(matrix[:, first])
     pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     key = np.sort(pairs[:, 0] * first.size + pairs[:, 1])
-    key = key[np.diff(key, prepend=-1) > 0]  # numpy's unique takes as long as METIS
+    key = key[np.diff(key, prepend=-1) > 0]  # numpy.unique would take as long as METIS
     place = np.full(first.size, first.size)
     if key.size:
         try:
@@ -417,7 +434,10 @@ def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndar
 
 
 def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of a graph of ``edges`` (m, 2) and their order, from a mesh of lines."""
+    """Return the nodes of a graph with ``edges`` (m, 2), and their positions for elimination.
+
+    METIS in gmsh orders meshes, so the graph becomes a mesh of lines.
+    """
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:
         gmsh.model.addDiscreteEntity(1, 1)

@@ -21,8 +21,8 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import OPTIONAL_LIBRARIES
 
-# Matrix types of PARDISO, which reads the upper triangle of symmetric matrices; the key is whether
-# the matrix is complex.
+# PARDISO's numbers for symmetric matrices, keyed by whether the matrix is complex. PARDISO reads
+# only the upper triangle of a symmetric matrix.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
 # phases of a PARDISO call
@@ -31,10 +31,8 @@ SOLVE = 33
 RELEASE = -1
 # largest relative difference between a symmetric matrix and its transpose
 SYMMETRY_TOLERANCE = 1e-12
-PIVOT_DIGITS = {
-    True: 8,
-    False: 13,
-}  # a pivot below 10^-digits of the norm is replaced, if symmetric
+# Pivots below 10^-digits of the norm of the matrix are replaced; keyed by symmetry of the matrix.
+PIVOT_DIGITS = {True: 8, False: 13}
 # indices in the parameter array ``iparm``, counted from 0
 OWN_VALUES = 0
 ORDER = 1
@@ -71,7 +69,7 @@ class Pardiso:
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))
-        rows = _with_diagonal(matrix, symmetric)
+        rows = _complete_diagonal(matrix, symmetric)
         self._kind = (SYMMETRIC_TYPES if symmetric else UNSYMMETRIC_TYPES)[complex_numbers]
         self._entries = rows.data.astype(complex if complex_numbers else float)
         self._begin, self._columns = (a.astype(np.int32) + 1 for a in (rows.indptr, rows.indices))
@@ -113,8 +111,11 @@ def require_library() -> None:
     _load_library()
 
 
-def _with_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
-    """Return the rows with a complete diagonal; for a symmetric matrix, only the upper triangle."""
+def _complete_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
+    """Return a matrix by rows with all diagonal entries, also zeros.
+
+    Of a symmetric matrix, the result contains only the upper triangle.
+    """
     entries = scipy.sparse.coo_array(scipy.sparse.triu(matrix) if symmetric else matrix)
     n = entries.shape[0]
     diagonal = np.arange(n)
@@ -138,7 +139,7 @@ def _call_pardiso(
 
     Raises
     ------
-    RuntimeError : it returns an error.
+    RuntimeError : PARDISO returns an error number.
     """
     nothing = np.zeros(1)
     entries, begin, columns = matrix or (nothing,) * 3
@@ -147,20 +148,20 @@ def _call_pardiso(
     numbers = [one, one, *map(ctypes.c_int32, (kind, phase, size))]
     silent = ctypes.c_int32(0)
     _load_library().pardiso(
-        _address(memory),
+        _get_address(memory),
         *map(ctypes.byref, numbers),
-        *map(_address, (entries, begin, columns, nothing)),
+        *map(_get_address, (entries, begin, columns, nothing)),
         ctypes.byref(ctypes.c_int32(count)),
-        _address(settings),
+        _get_address(settings),
         ctypes.byref(silent),
-        *(_address(nothing if array is None else array) for array in (rhs, x)),
+        *(_get_address(nothing if array is None else array) for array in (rhs, x)),
         ctypes.byref(error),
     )
     if error.value:
         raise RuntimeError(f"PARDISO returned the error code {error.value}")
 
 
-def _address(array: np.ndarray) -> ctypes.c_void_p:
+def _get_address(array: np.ndarray) -> ctypes.c_void_p:
     """Return the memory address of the first number of an array."""
     return array.ctypes.data_as(ctypes.c_void_p)
 

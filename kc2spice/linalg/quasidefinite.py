@@ -25,18 +25,19 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Largest share of zeros in a supernode, by its number of unknowns, chosen by trial: zeros cost
-# operations, and small supernodes cost interpreter time.
+# Number of unknowns of a supernode, and largest share of zeros up to this number. The shares were
+# found by trials: zeros cost operations, and small supernodes cost time of the interpreter.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
 STRIP_WIDTH = 64  # columns of a remainder that are added to a front at once
 
 
 @dataclass(frozen=True, eq=False)
 class Supernode:
-    """Supernode of the elimination tree: pivots ``begin`` to ``end``, coupled ``rows`` (m,), and
-    parent.
+    """Supernode of the elimination tree: its pivots, coupled rows and parent.
 
-    Numbers are positions in the order of elimination. The parent is -1 if there are no rows.
+    The pivots have the positions ``begin`` to ``end - 1`` in the elimination order, and ``rows``
+    (m,) are the positions of the unknowns that are coupled to the pivots. ``parent`` is the index
+    of the parent, -1 if there are no rows.
     """
 
     begin: int
@@ -49,11 +50,12 @@ class Supernode:
 class ColumnPanel:
     """Columns of L of a supernode with k pivots and m rows.
 
-    The pivots are the rows ``turn`` (k,). The first ``positive`` pivots have the sign 1.
-    ``triangle`` (k, k) is lower triangular, and ``below`` (m, k) belongs to the rows.
+    ``pivot_order`` (k,) is the order of the pivots. The first ``positive`` pivots have the sign 1,
+    the others -1. ``triangle`` (k, k) contains the rows of the pivots, and ``below`` (m, k) the
+    other rows.
     """
 
-    turn: np.ndarray
+    pivot_order: np.ndarray
     positive: int
     triangle: np.ndarray
     below: np.ndarray
@@ -69,7 +71,7 @@ class QuasiDefinite:
     negative : (n,) mask
         Unknowns of the block -C.
     group : (n,) array
-        Number of a group of each unknown; the columns of a group have one pattern.
+        Group number of each unknown; the columns of one group have the same pattern.
     order : (n,) array
         Order of elimination in which L is sparse, groups one after another.
 
@@ -103,7 +105,7 @@ class QuasiDefinite:
         x = np.asarray(rhs, dtype=float).reshape(len(rhs), -1)[self._order]
         steps = list(zip(self._supernodes, self._panels, strict=True))
         for node, panel in steps:
-            pivots = x[node.begin : node.end][panel.turn]
+            pivots = x[node.begin : node.end][panel.pivot_order]
             pivots = dtrsm(1.0, panel.triangle, pivots, lower=1)
             x[node.rows] -= panel.below @ pivots
             pivots[panel.positive :] *= -1
@@ -111,7 +113,7 @@ class QuasiDefinite:
         for node, panel in reversed(steps):
             pivots = x[node.begin : node.end] - panel.below.T @ x[node.rows]
             pivots = dtrsm(1.0, panel.triangle, pivots, lower=1, trans_a=1)
-            x[node.begin + panel.turn] = pivots
+            x[node.begin + panel.pivot_order] = pivots
         result = np.empty_like(x)
         result[self._order] = x
         return result.reshape(rhs.shape)
@@ -125,8 +127,8 @@ def _assemble_front(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Assemble a front from the matrix and from the remainders of other fronts.
 
-    The results are the columns of the pivots (k + m, k) and the matrix of the rows (m, m). Only
-    lower triangles are assembled. ``place`` (n,) is working memory.
+    The results are the columns of the pivots (k + m, k), and the matrix (m, m) of the other rows.
+    Only lower triangles are assembled. ``place`` (n,) is working memory.
     """
     count, rows = node.end - node.begin, node.rows
     size = count + rows.size
@@ -143,7 +145,7 @@ def _assemble_front(
             target, skip = (panel, 0) if first < pivots else (remainder, count)
             last = min(first + STRIP_WIDTH, pivots if first < pivots else len(at))
             begins = (at[first:last] - skip) * target.shape[1]
-            # a flat index takes half the time of two indices
+            # one flat index takes half the time of a row index and a column index
             target.reshape(-1)[begins[:, None] + (at[first:] - skip)] += transposed[
                 first:last, first:
             ]
@@ -153,9 +155,10 @@ def _assemble_front(
 def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> ColumnPanel:
     """Eliminate the pivots of a front; ``remainder`` becomes the Schur complement.
 
-    Pivots ``minus`` (k,) have the sign -1. With ``[A b'; b -C]`` of the pivots and ``[F G]`` of the
-    rows, the factor has ``A = S S'``, ``W = b S'^-1``, ``C + W W' = T T'``, ``Y = F S'^-1``, ``Z =
-    (Y W' - G) T'^-1``.
+    The pivots in the mask ``minus`` (k,) have the sign -1. The front has the block ``[A b'; b -C]``
+    of the pivots and the block ``[F G]`` of the other rows. The factor contains ``S``, ``T``,
+    ``W = b S'^-1``, ``Y = F S'^-1`` and ``Z = (Y W' - G) T'^-1``, where ``A = S S'`` and
+    ``C + W W' = T T'``.
     """
     count, positive = len(minus), int((~minus).sum())
     turn = np.argsort(minus, kind="stable")
@@ -168,7 +171,7 @@ def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarra
         slice(positive),
         slice(positive, None),
     )
-    triangle[head, head] = S = _cholesky(block[head, head])
+    triangle[head, head] = S = _compute_cholesky_factor(block[head, head])
     Y, Z = below[:, head], below[:, tail]
     if positive:
         Y[:] = dtrsm(1.0, S, Y, side=1, lower=1, trans_a=1)
@@ -177,13 +180,13 @@ def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarra
         W = triangle[tail, head]
         if positive:
             W[:] = dtrsm(1.0, S, block[tail, head], side=1, lower=1, trans_a=1)
-        triangle[tail, tail] = T = _cholesky(W @ W.T - block[tail, tail])
+        triangle[tail, tail] = T = _compute_cholesky_factor(W @ W.T - block[tail, tail])
         Z[:] = dtrsm(1.0, T, Y @ W.T - Z, side=1, lower=1, trans_a=1)
         _subtract_square(remainder, Z, -1.0)
     return ColumnPanel(turn, positive, triangle, below)
 
 
-def _cholesky(matrix: np.ndarray) -> np.ndarray:
+def _compute_cholesky_factor(matrix: np.ndarray) -> np.ndarray:
     """Return the lower Cholesky factor of a dense matrix."""
     if not matrix.size:
         return matrix
@@ -204,25 +207,26 @@ def _subtract_square(matrix: np.ndarray, columns: np.ndarray, sign: float) -> No
 def find_supernodes(
     matrix: scipy.sparse.csc_array, group: np.ndarray, order: np.ndarray
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Find the supernodes of a symmetric pattern, and the order (n,) of elimination with them.
+    """Find the supernodes of a symmetric pattern, and number the unknowns by supernodes.
 
-    The order has the same fill as the prescribed ``order``, apart from zeros in supernodes.
+    The first result is the new elimination order (n,). Its fill equals the fill of ``order``, apart
+    from zeros in supernodes.
     """
-    sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # of groups
+    sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # groups by elimination
     rank = np.empty(len(sequence), dtype=np.intp)
     rank[sequence] = np.arange(len(sequence))
-    numbers = rank[group]  # of the group of each unknown, in the order of elimination
+    numbers = rank[group]  # position of each unknown's group in the elimination order
     weight = np.bincount(numbers)
-    below, above = _neighbours(matrix, numbers, order)
-    parent = _elimination_tree(above)
-    pivots, rows = _relaxed_supernodes(below, parent, weight)
+    below, above = _find_neighbours(matrix, numbers, order)
+    parent = _build_elimination_tree(above)
+    pivots, rows = _form_relaxed_supernodes(below, parent, weight)
     return _number_supernodes(pivots, rows, parent, weight, numbers, order)
 
 
-def _neighbours(
+def _find_neighbours(
     matrix: scipy.sparse.csc_array, numbers: np.ndarray, order: np.ndarray
 ) -> tuple[list[np.ndarray], list[list[int]]]:
-    """Neighbours of each group that are eliminated after the group, and before it."""
+    """Return the neighbours that are eliminated after each group, and before each group."""
     count = int(numbers.max()) + 1
     first = np.full(count, -1)
     first[numbers[order[::-1]]] = order[::-1]
@@ -236,8 +240,11 @@ def _neighbours(
     return below, [part.tolist() for part in above]
 
 
-def _elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
-    """Parent of each group in the elimination tree, -1 of a root (Liu, algorithm 4.2)."""
+def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
+    """Return the parent of each group in the elimination tree, -1 for a root.
+
+    The method is algorithm 4.2 of Liu.
+    """
     parent, ancestor = [-1] * len(above), [-1] * len(above)
     for i, earlier in enumerate(above):
         for k in earlier:
@@ -248,10 +255,10 @@ def _elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
     return parent
 
 
-def _relaxed_supernodes(
+def _form_relaxed_supernodes(
     below: Sequence[np.ndarray], parent: Sequence[int], weight: np.ndarray
 ) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
-    """Pivots and rows (groups) of the supernodes, by the last pivot of each."""
+    """Return the groups of pivots and of rows of each supernode, keyed by its last pivot."""
     pivots, rows = dict[int, list[int]](), dict[int, np.ndarray]()
     sizes = dict[int, tuple[int, int, int]]()  # numbers of pivots, rows and zeros of each supernode
     children: list[list[int]] = [[] for _ in below]
@@ -283,7 +290,7 @@ def _number_supernodes(
     numbers: np.ndarray,
     order: np.ndarray,
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Order of elimination (n,) with the pivots of a supernode together, children first."""
+    """Return the elimination order (n,) by supernodes, children first, and the supernodes."""
     owner = {group: last for last, groups in pivots.items() for group in groups}
     parents = {last: owner.get(parent[last], -1) for last in pivots}
     children = dict[int, list[int]]()
@@ -297,7 +304,7 @@ def _number_supernodes(
     sequence = np.concatenate([pivots[last] for last in postorder])
     position = np.empty(len(sequence), dtype=np.intp)
     position[sequence] = np.arange(len(sequence))
-    start = np.r_[0, np.cumsum(weight[sequence])]  # of each group, by its position
+    start = np.r_[0, np.cumsum(weight[sequence])]  # first unknown of each group
     index = dict(zip(postorder, range(len(postorder)), strict=True)) | {-1: -1}
     nodes, begin = list[Supernode](), 0
     for last in postorder:

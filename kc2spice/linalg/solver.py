@@ -1,6 +1,6 @@
 """Direct solvers that users supply instead of the built-in solvers.
 
-A solver is a function or class that factorises one sparse matrix. :func:`solving_with` selects it
+A solver is a function or class that factorises one sparse matrix. :func:`use_solver` selects it
 for all factors within the context. :mod:`kc2spice.linalg.factor` obtains the solver here.
 """
 
@@ -24,13 +24,12 @@ HOW = (
 class Factorisation(Protocol):
     """A factorised matrix A.
 
-    An attribute ``negative_eigenvalues`` is optional. The number is the number of negative
-    eigenvalues of a real symmetric matrix, which is the number of negative pivots of an LDL'
-    factor.
+    The optional attribute ``negative_eigenvalues`` is the number of negative eigenvalues of a real
+    symmetric matrix, which equals the number of negative pivots of its LDL' factor.
     """
 
     def solve(self, rhs: np.ndarray, /) -> np.ndarray:
-        """Return ``A^-1 rhs`` (n, k) of a dense ``rhs`` (n, k) of the type of the matrix."""
+        """Return ``A^-1 rhs`` (n, k) for a dense ``rhs`` (n, k) with the data type of A."""
         ...
 
 
@@ -41,22 +40,22 @@ _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 
 
 @contextmanager
-def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
-    """Use ``solver`` for all factors that are made meanwhile.
+def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
+    """Use ``solver`` for all factorisations within the context.
 
     The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
-    solver of the surrounding context remains, by default the built-in solvers.
+    solver of the outer context remains. Without an outer context, this is the built-in solver.
 
     Raises
     ------
-    UsageError : the solver is not a function, a class or a known name.
+    UsageError : ``solver`` is neither a function nor a class nor the name of a solver.
     MissingToolError : the library of the solver is not installed.
     """
     if solver is None:
         yield
         return
     if solver == PARDISO:
-        from kc2spice.linalg.pardiso import Pardiso, require_library  # an optional one
+        from kc2spice.linalg.pardiso import Pardiso, require_library  # an optional package
 
         require_library()
         solver = Pardiso
@@ -77,11 +76,11 @@ def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
 
 
 def require_solver(name: str | None, where: str) -> str | None:
-    """Check the name of a solver of the command line, and return the name.
+    """Return the name of a solver from the command line if the solver exists.
 
     Raises
     ------
-    UsageError : the solver does not exist; ``where`` is the option.
+    UsageError : the solver does not exist; ``where`` is the option with the name.
     """
     if name is not None and name not in SOLVERS:
         raise unknown("this direct solver does not exist", name, SOLVERS, where)
@@ -89,19 +88,19 @@ def require_solver(name: str | None, where: str) -> str | None:
 
 
 def supplied_solver() -> DirectSolver | None:
-    """Return the solver that :func:`solving_with` selected, None for the built-in solvers."""
+    """Return the solver that :func:`use_solver` selected, None for the built-in solvers."""
     return _supplied.get()
 
 
-def factorise_by(solver: DirectSolver, matrix: Any) -> Factorisation:
-    """Factorise a sparse matrix by a supplied solver.
+def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
+    """Factorise a sparse matrix with the solver of the user.
 
     Raises
     ------
     SimulationError : the solver reports a numerical failure, such as a singular matrix.
-    UsageError : any other error of the solver, or a result that does not solve the equations.
+    UsageError : the solver raises any other error, or its result has no method ``solve``.
     """
-    factor = _call(solver, matrix)
+    factor = _call_user_function(solver, matrix)
     if not callable(getattr(factor, "solve", None)):
         got = f"{type(factor).__name__} without a method solve"
         raise UsageError(
@@ -110,15 +109,16 @@ def factorise_by(solver: DirectSolver, matrix: Any) -> Factorisation:
     return factor
 
 
-def solve_by(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
-    """Return the solution of a supplied factor for one (n,) or several (n, k) right-hand sides.
+def solve_with_factor(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
+    """Solve for one (n,) or several (n, k) right-hand sides with a factor of the user's solver.
 
     Raises
     ------
-    SimulationError, UsageError : as :func:`factorise_by`, or a solution of another shape.
+    SimulationError : the solver reports a numerical failure.
+    UsageError : the solver raises any other error, or the solution has a wrong shape.
     """
     columns = np.asarray(rhs).reshape(len(rhs), -1).astype(matrix.dtype, casting="safe")
-    x = np.asarray(_call(factor.solve, columns))
+    x = np.asarray(_call_user_function(factor.solve, columns))
     if x.shape != columns.shape or x.dtype.kind not in "fc":
         raise UsageError(
             "the solver returned an array of a wrong type or shape",
@@ -129,10 +129,8 @@ def solve_by(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
     return x.reshape(rhs.shape)
 
 
-def _call(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Return the result of a function of the user, and convert its exceptions to errors of
-    kc2spice.
-    """
+def _call_user_function(function: Callable[[Any], Any], argument: Any) -> Any:
+    """Call a function of the user, and convert its exceptions to errors of kc2spice."""
     try:
         return function(argument)
     except Kc2spiceError:

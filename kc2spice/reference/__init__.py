@@ -1,1 +1,1 @@
-"""Independent integration of equations of any set of parts (reference solver)."""
+"""Reference solver: integrates the equations of any set of parts without a circuit simulator."""

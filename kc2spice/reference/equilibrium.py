@@ -1,4 +1,4 @@
-"""Equations of a system between two events, its operating point and its dc sweep."""
+"""Equations of a system between two events, and the operating point and dc sweep of a system."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kc2spice.reference.system import PlacedDevice, System
 class Interval:
     """Equations ``d/dt g(t, z) = f(t, z)`` with the devices in fixed ``modes``.
 
-    The sources are the smooth pieces that contain the time ``within``.
+    A source is described by the smooth piece of its waveform that contains the time ``within``.
     """
 
     def __init__(self, system: System, modes: list[Any], within: float) -> None:
@@ -41,13 +41,16 @@ class Interval:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
 
-    def with_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
-        """Append the sources to ``z``: ``X`` (N,) at one time, (N, nt) at many."""
+    def append_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
+        """Append the values and rates of the sources to ``z``, for one time or many times.
+
+        The result is ``X`` (N,) or (N, nt).
+        """
         return np.concatenate((z, self.system.source_values(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """Compute all waves (nt,) from states and rates (n, nt) at times ``t`` (nt,)."""
-        system, X = self.system, self.with_sources(t, z)
+        system, X = self.system, self.append_sources(t, z)
         dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
@@ -57,14 +60,14 @@ class Interval:
         y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)
         return dict(zip(system.names, y + system.constant[:, None], strict=True))
 
-    def energy(self, t: float, z: np.ndarray) -> float:
-        """Compute the stored energy [J]."""
-        X = self.with_sources(t, z)
-        item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
+    def compute_energy(self, t: float, z: np.ndarray) -> float:
+        """Compute the energy [J] that all laws store."""
+        X = self.append_sources(t, z)
+        item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
         devices = sum(device.law.energy(e, mode) for device, e, mode in item)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
-    def stored_quantities(self, X: np.ndarray) -> np.ndarray:
+    def compute_stored_quantities(self, X: np.ndarray) -> np.ndarray:
         """Return the stored quantities ``g`` (n, nt)."""
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
@@ -72,15 +75,18 @@ class Interval:
                 g += device.stores @ _evaluate(device.law.evaluate_store, device.inputs @ X, mode)
         return g
 
-    def flow(self, X: np.ndarray) -> np.ndarray:
+    def compute_right_sides(self, X: np.ndarray) -> np.ndarray:
         """Return the right-hand sides ``f`` (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
             f += device.into @ _evaluate(device.law.evaluate_outputs, device.inputs @ X, mode)
         return f
 
-    def term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes of the terms in ``f`` and ``g`` (n, nt), on which their rounding errors depend."""
+    def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the sums of the absolute values of all terms of ``f`` and ``g`` (n, nt).
+
+        The rounding errors of ``f`` and ``g`` are proportional to these sums.
+        """
         F, G, sizes = map(np.abs, (self.F, self.system.G, X))
         f, g = F @ sizes + np.abs(self.const)[:, None], G @ sizes
         for device, mode in self.curved:
@@ -91,9 +97,9 @@ class Interval:
                 g += np.abs(device.stores) @ _add_terms(device.law.store, points, mode)
         return f, g
 
-    def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives ``dg/dz`` and ``df/dz`` (n, n)."""
-        n, X = self.system.size, self.with_sources(t, z)
+        n, X = self.system.size, self.append_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
             e, by = device.inputs @ X, device.inputs[:, :n]
@@ -104,26 +110,26 @@ class Interval:
 
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``g`` and ``f`` (n,) at one time."""
-        X = self.with_sources(t, z)[:, None]
-        return self.stored_quantities(X)[:, 0], self.flow(X)[:, 0]
+        X = self.append_sources(t, z)[:, None]
+        return self.compute_stored_quantities(X)[:, 0], self.compute_right_sides(X)[:, 0]
 
-    def inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
-        """Inputs of every device."""
-        X = self.with_sources(t, z)
+    def device_inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
+        """Return the inputs of every device."""
+        X = self.append_sources(t, z)
         return [device.inputs @ X for device in self.system.devices]
 
-    def guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Guards of all devices in turn."""
-        item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
+    def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
+        """Return the guards of all devices, one device after another."""
+        item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
         return np.concatenate([np.empty(0), *(d.law.guards(e, mode) for d, e, mode in item)])
 
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
         """Solve the algebraic equations for the algebraic unknowns of ``z``."""
         algebraic, rows = ~self.system.differential, ~self.rows
-        z, tangents = z.copy(), Tangents()
+        z, tangents = z.copy(), LimitedTangents()
         for _ in range(30 if algebraic.any() else 0):
             now, limited = tangents.linearise(self, t, z)
-            J = now.slopes(t, z)[1][np.ix_(rows, algebraic)]
+            J = now.compute_slopes(t, z)[1][np.ix_(rows, algebraic)]
             change = np.linalg.lstsq(J, -now.at(t, z)[1][rows], rcond=1e-14)[0]
             z[algebraic] += change
             small = np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max())
@@ -133,8 +139,8 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tangent(Device):
-    """Tangent of a law at the inputs ``point``."""
+class _TangentLaw(Device):
+    """Linear law that is the tangent of a law at the inputs ``point``."""
 
     law: Device
     point: np.ndarray
@@ -150,30 +156,30 @@ class _Tangent(Device):
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tangent of the outputs, and its slopes."""
+        """Return the outputs on the tangent, and their derivatives."""
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tangent of the stored quantities, and its slopes."""
+        """Return the stored quantities on the tangent, and their derivatives."""
         stored, slope = self.law.store(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
 
 @dataclass(frozen=True, eq=False)
-class Tangents:
+class LimitedTangents:
     """Tangents of the laws that limit the steps of Newton's method.
 
     Newton's method linearises all laws at the last iterate. A law with the method
-    :meth:`Device.limit_change` is linearised at inputs nearer to the last inputs, as in SPICE.
-    ``points`` are the last inputs of each of these laws.
+    :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the iterate
+    before, as in SPICE. ``points`` are the inputs at which each of these laws was linearised last.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
 
     def linearise(self, interval: Interval, t: float, z: np.ndarray) -> tuple[Interval, bool]:
-        """Return the equations near ``z``, and whether a law is not linearised at ``z``."""
-        X, curved, limited = interval.with_sources(t, z), [], False
+        """Return the equations near ``z``, and whether a law is linearised elsewhere than ``z``."""
+        X, curved, limited = interval.append_sources(t, z), [], False
         for device, mode in interval.curved:
             now = device
             if type(device.law).limit_change is not Device.limit_change:
@@ -181,7 +187,7 @@ class Tangents:
                 point = device.law.limit_change(e, self.points.get(device, e))
                 self.points[device] = point
                 if np.any(point != e):
-                    now, limited = replace(device, law=_Tangent(device.law, point)), True
+                    now, limited = replace(device, law=_TangentLaw(device.law, point)), True
             curved.append((now, mode))
         if limited:
             interval = copy(interval)
@@ -192,7 +198,7 @@ class Tangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Return values (k, nt) of a function of a law at ``inputs`` (m, nt)."""
+    """Return the values (k, nt) of a law's function at ``inputs`` (m, nt)."""
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
@@ -201,7 +207,10 @@ def _add_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Add the sizes (k, nt) of the terms of a law, from its slopes and the sizes of inputs."""
+    """Return the sums (k, nt) of absolute values of the terms in the outputs of a law.
+
+    The terms are the outputs, and their derivatives times the absolute values of the inputs.
+    """
     result = []
     for e, sizes in points:
         out, slope = function(e, mode)
@@ -210,7 +219,7 @@ def _add_terms(
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Concatenate the waves of consecutive intervals by their names."""
+    """Concatenate the waves of consecutive intervals, keyed by the name of the wave."""
     columns = zip(*map(dict.values, parts), strict=True)
     return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
 
@@ -220,19 +229,19 @@ _MAX_NEWTON_STEPS = 12  # Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Compute every wave at the equilibrium with the values of the sources at t = 0.
+    """Compute every wave at the equilibrium for the values of the sources at t = 0.
 
-    Charges of floating nets are zero.
+    A net without a path to the reference node has no charge.
 
     Raises
     ------
     SimulationError : a part has no support, or no equilibrium was reached.
     """
-    return _compute_waves(system, *equilibrium(system))
+    return _compute_waves(system, *find_equilibrium(system))
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the equilibria at ``values`` of a source.
+    """Compute the equilibrium for each of the ``values`` of a source.
 
     Each solution starts from the solution at the previous value. The result contains arrays over
     the sweep: the values ``sweep``, and all waves of :func:`solve_operating_point`.
@@ -240,7 +249,7 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
     z, result = None, []
     for value in np.asarray(values, dtype=float):
         now = _fix_sources(system, {source: value})
-        z, modes = equilibrium(now, z)
+        z, modes = find_equilibrium(now, z)
         result.append(_compute_waves(now, z, modes))
     columns = zip(*map(dict.values, result), strict=True)
     swept = dict(zip(result[0], map(np.array, columns), strict=True))
@@ -248,7 +257,7 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
 
 
 def _fix_sources(system: System, values: dict[str, float]) -> System:
-    """Make all sources constant, at ``values`` or at their values at t = 0."""
+    """Make all sources constant: at a value in ``values``, or at the source's value at t = 0."""
     sources = []
     for source in system.sources:
         value = values.get(source.name, float(source.wave(0.0)))
@@ -263,7 +272,7 @@ def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str,
 
 
 class _StaticEquations:
-    """Static equations: balances, initial values, and constant charges."""
+    """Equations of the equilibrium: balances of forces and currents, and initial values."""
 
     def __init__(self, system: System) -> None:
         self.system = _fix_sources(system, {})
@@ -280,14 +289,19 @@ class _StaticEquations:
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute residual (n,) and slopes (n, n) without the enforced initial values."""
-        return interval.at(0.0, z)[1], interval.slopes(0.0, z)[1]
+        """Compute the residual (n,) of the balances, and its derivatives (n, n).
+
+        The forces that enforce initial values are not included.
+        """
+        return interval.at(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
 
 
-def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.ndarray, list[Any]]:
-    """Solve for unknowns and modes at rest by Newton's method.
+def find_equilibrium(
+    system: System, guess: np.ndarray | None = None
+) -> tuple[np.ndarray, list[Any]]:
+    """Compute the unknowns and the modes of devices in equilibrium by Newton's method.
 
-    A motion with strong friction precedes Newton's method.
+    Without a ``guess``, the first steps follow a motion with strong friction.
     """
     rest, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
@@ -295,26 +309,31 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
-    # without mass, the row of a net is its force balance
+    # in a system without masses, the row of a net's displacement is the balance of its forces
     if guess is not None and not places.size:
         forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0
-    # The guess is usually close, so Newton's method is tried first, and overdamped motion if it
-    # fails.
+    # A guess is usually close to the equilibrium, so Newton's method is tried first. If Newton's
+    # method fails, the steps follow an overdamped motion.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
-    start, tangents = z, Tangents()
+    start, tangents = z, LimitedTangents()
     for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
-            z, pace, tangents = start, 1e-6, Tangents()
+            z, pace, tangents = start, 1e-6, LimitedTangents()
         interval, limited = tangents.linearise(rest.interval(z), 0.0, z)
         f, J = rest.equations(interval, z)
-        step = _newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
+        step = _compute_newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
-            pace *= 0.01  # beyond a fold, a long step would move against the forces
+            pace *= 0.01  # beyond a turning point, a long step would be opposite to the forces
             continue
         z = z + step
-        if pace >= 1e13 and small and not limited and not np.any(interval.guards(0.0, z) < -1e-18):
+        if (
+            pace >= 1e13
+            and small
+            and not limited
+            and not np.any(interval.compute_guards(0.0, z) < -1e-18)
+        ):
             return _set_initial_speeds(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(
@@ -325,16 +344,19 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
 
 
 def _find_net_displacements(system: System) -> np.ndarray:
-    """Find the unknowns that are displacements of nets."""
+    """Return the indices of the unknowns that are displacements of nets."""
     names = np.array(system.names)
     moving = np.isin(np.char.add(names, ".rate"), names)
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
 
 
-def _newton_step(
+def _compute_newton_step(
     rest: _StaticEquations, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
 ) -> np.ndarray:
-    """Compute a Newton step with initial values, and constant charges if singular."""
+    """Compute a Newton step of the balances and initial values.
+
+    If the equations are singular, additional equations keep the charges of floating nets at zero.
+    """
     n, m = z.size, rest.h.size
     full = np.block([[J, rest.into], [rest.H, np.zeros((m, m))]])
     right = -np.concatenate((f, rest.H @ z - rest.h))
@@ -346,7 +368,7 @@ def _newton_step(
         idle = u[:, rank:]
         conserved = (idle[:n] / size[:n, None]).T
         short = np.abs(idle.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
-        stored, slope = interval.at(0.0, z)[0], interval.slopes(0.0, z)[0]
+        stored, slope = interval.at(0.0, z)[0], interval.compute_slopes(0.0, z)[0]
         add = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
         drop = -conserved @ stored
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
@@ -362,7 +384,7 @@ def _newton_step(
 
 
 def _set_initial_speeds(system: System, z: np.ndarray) -> np.ndarray:
-    """Set the velocities of masses with an initial velocity."""
+    """Return the unknowns ``z`` with the initial velocities of masses."""
     values = system.initial_values
     if not values:
         return z

@@ -1,13 +1,13 @@
 """Transient with equal steps of laws, and of bodies represented by their ports (`PortBody`).
 
-A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method with
-the rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)``, where ``r`` is the effect of earlier
-steps. Thus ``y = H(s) a + C P(s)^-1 r``. All steps need one factorisation. Each stage needs one
-back substitution, and the solution of a small nonlinear system of all other laws, in which the
-body is p linear relations.
+A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method, its
+unknowns are ``x = P(s)^-1 (r + B a)``. Here ``s`` is the rate of the stage, ``a`` are the inputs of
+the ports, and ``r`` is the effect of earlier steps. The outputs are ``y = H(s) a + C P(s)^-1 r``.
+All steps together need one factorisation. Each stage needs one back substitution, and the solution
+of a small nonlinear system of all other laws, in which the body is p linear relations.
 
-The method is described by Alexander (SIAM J. Numer. Anal. 14, 1006, 1977): two stages, second
-order, L-stable, so that motions that are too fast for the steps decay instead of ringing::
+The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
+accuracy. It is L-stable: motions that are too fast for the steps decay instead of ringing::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)
@@ -26,15 +26,15 @@ from scipy import sparse
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, PortBody, Relation
 from kc2spice.linalg.factor import factorise
-from kc2spice.reference.equilibrium import Interval, Tangents, equilibrium, join_waves
+from kc2spice.reference.equilibrium import Interval, LimitedTangents, find_equilibrium, join_waves
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
 MAX_ITERATIONS = 60  # iterations of a stage, including changes of device modes
 SINGLE_SWITCH_ITERATION = 30  # iterations after which devices change their modes one at a time
-GUARD_ROUNDING = 1e-15  # largest negative value of a guard by rounding
-ZERO_LOAD = 1e-100  # zero load; a solver cannot solve for its rounding errors
-# rate at which an unsupported body only drifts, relative to its fastest rate
+GUARD_ROUNDING = 1e-15  # largest rounding error of a guard; a guard below its negative changes sign
+ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
+# rate at which an unsupported body only moves as a rigid body, relative to its fastest rate
 DRIFT_RATE_RATIO = 3e-8
 
 
@@ -45,7 +45,7 @@ class _BodyIntegrator:
 
     Raises
     ------
-    SimulationError : the matrix of its steps is singular.
+    SimulationError : the matrix of the steps is singular.
     """
 
     def __init__(self, law: PortBody, step: float, e: np.ndarray) -> None:
@@ -84,9 +84,9 @@ class _BodyIntegrator:
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the product with ``P(s)^-1`` at a real ``s``.
+    """Return a function that multiplies by ``P(s)^-1`` for a real ``s``.
 
-    The solver uses a Cholesky factor if one exists.
+    The function uses a Cholesky factor if ``P(s)`` is positive definite.
     """
     if pencil.symmetric:
         matrix = sparse.csc_array(pencil.at(s))
@@ -94,19 +94,19 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
             try:
                 return factorise(matrix, definite=True).solve
             except SimulationError:
-                pass  # indefinite: pivots are needed
+                pass  # the matrix is indefinite and needs pivoting
     result: Callable[[np.ndarray], np.ndarray] = pencil.solver(s)[0].solve
     return result
 
 
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the product with ``P(0)^-1``, or with ``P(s)^-1`` for an unsupported body.
+    """Return a function that multiplies by ``P(0)^-1``, or by ``P(s)^-1`` of an unsupported body.
 
-    The rate s is slow.
+    The rate ``s`` of an unsupported body is far below its natural frequencies.
 
     Raises
     ------
-    SimulationError : singular at any rate.
+    SimulationError : ``P(s)`` is singular at any rate.
     """
     try:
         return _make_solver(pencil, 0.0)
@@ -116,10 +116,10 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
-    """Waves (nt,) over ``time`` (nt,), keyed by name, and modes of devices.
+class FixedStepResult:
+    """Waves (nt,) at the times ``time`` (nt,), keyed by name, and modes of devices.
 
-    Currents of charges that devices store have no wave. Bodies have no modes.
+    The waves do not include currents that charge a device. Bodies have no modes.
     """
 
     time: np.ndarray
@@ -134,26 +134,26 @@ def integrate_steps(
     count: int,
     start_from: Callable[[System, np.ndarray], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Steps:
-    """Integrate ``count`` steps from ``first`` [s] on.
+) -> FixedStepResult:
+    """Integrate ``count`` steps from the time ``first`` [s].
 
-    The laws begin in equilibrium; the bodies are in their equilibrium at t = 0 until ``first``.
-    ``start_from`` converts the unknowns at the start to unknowns at ``first``, for laws that move
-    before the bodies move.
+    The laws begin in equilibrium at t = 0, and bodies stay in this equilibrium until ``first``.
+    If other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to
+    the unknowns at ``first``.
 
     Raises
     ------
     SimulationError : there is no equilibrium, a stage does not converge, or a law is outside of
     its range.
     """
-    z, modes = equilibrium(system)
+    z, modes = find_equilibrium(system)
     march = _StepIntegrator(system, modes, step)
-    es = march.interval(0.0).inputs(0.0, z)
+    es = march.interval(0.0).device_inputs(0.0, z)
     for k, ported in march.ported:
         march.bodies[k] = _BodyIntegrator(ported, step, es[k])
     if start_from is not None:
         z = start_from(system, z)
-    es = march.interval(first).inputs(first, z)
+    es = march.interval(first).device_inputs(first, z)
     for k, law in march.others:
         march.modes[k] = law.mode(es[k])
     times, states, intervals = [first], [z], [march.interval(first)]
@@ -172,7 +172,7 @@ def integrate_steps(
     for _, law in march.others:
         for k in law.charged:
             waves.pop(f"{law.name}.{law.flows[k].pin}.through", None)
-    return Steps(time, {"time": time} | waves, list(map(march.device_modes, intervals)))
+    return FixedStepResult(time, {"time": time} | waves, list(map(march.device_modes, intervals)))
 
 
 class _StepIntegrator:
@@ -191,11 +191,11 @@ class _StepIntegrator:
         self.is_affine = all(law.is_affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
-        """Make the system of equations of the interval about ``t``, in the present modes."""
+        """Return the equations around the time ``t`` with the present modes of the devices."""
         return Interval(self.system, list(self.modes), t)
 
     def device_modes(self, interval: Interval) -> tuple[Any, ...]:
-        """Select the modes of all devices except bodies in an interval."""
+        """Return the modes of all devices of an interval except bodies."""
         return tuple(interval.modes[k] for k, _ in self.others)
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
@@ -207,28 +207,28 @@ class _StepIntegrator:
         last = self._solve_stage(
             t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True
         )
-        es = self.interval(t + self.h).inputs(t + self.h, last)
+        es = self.interval(t + self.h).device_inputs(t + self.h, last)
         for k, law in self.others:
             law.require_in_range(t + self.h, es[k])
         return last
 
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
-        """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for unknowns and modes."""
+        """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for ``z``, and set device modes."""
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
-        es = self.interval(t).inputs(t, z)
+        es = self.interval(t).device_inputs(t, z)
         self._switch_devices(es, 0)
-        tangents = Tangents()
+        tangents = LimitedTangents()
         for count in range(MAX_ITERATIONS):
             interval, limited = tangents.linearise(self.interval(t), t, z)
             g, f = interval.at(t, z)
-            M, J = interval.slopes(t, z)
+            M, J = interval.compute_slopes(t, z)
             J = J - self.rate * M
             size = np.abs(J).max(axis=1)
             right = self.rate * (g - stored) - f
             change = np.linalg.solve(J / size[:, None], right / size)
             z = z + change
-            es = interval.inputs(t, z)
+            es = interval.device_inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
             if not self._switch_devices(es, count) and (self.is_affine or (small and not limited)):
                 for k, body in self.bodies.items():
@@ -239,7 +239,7 @@ class _StepIntegrator:
         )
 
     def _switch_devices(self, es: list[np.ndarray], count: int) -> bool:
-        """Change the modes of devices with a negative guard; return whether there was any."""
+        """Change the modes of devices with a negative guard; return whether a mode changed."""
         changed = False
         for k, law in self.others:
             guards = law.guards(es[k], self.modes[k])

@@ -1,10 +1,10 @@
-"""Transient of a `System` by an implicit method, between corners and events.
+"""Transient of a `System` by an implicit method, from one corner or event to the next.
 
-The steps use Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
-IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so algebraic unknowns would have to be
-eliminated. This elimination is possible for index 1 only. Two inductors in series, or one behind a
-current source, are of index 2, and their elimination is singular. The implicit method needs no
-elimination. The steps of the method integrate ``g``, which conserves charge, flux and momentum.
+The steps use the method Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner
+1996, IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so it would require the elimination
+of algebraic unknowns. This elimination is possible for equations of index 1 only. Two inductors in
+series, or an inductor in series with a current source, have equations of index 2. This module needs
+no elimination. It integrates ``g``, which conserves charge, flux and momentum.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
-from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
+from kc2spice.reference.equilibrium import Interval, find_equilibrium, join_waves
 from kc2spice.reference.system import System
 
 _S6 = np.sqrt(6.0)
@@ -39,13 +39,14 @@ _REAL_INDEX = int(np.argmin(np.abs(_values.imag)))
 _PAIR_INDEX = int(np.argmax(_values.imag))
 _ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON_STEPS = 8
-# largest rounding error relative to the tolerance; the derivative of a controller amplifies
-# rounding to 100 nV
+# Largest rounding error relative to the tolerance: a differentiating controller amplifies rounding
+# errors to 100 nV.
 _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
-# factor on the estimate of rounding errors, which uses one set of random signs
+# safety factor of the estimate of rounding errors, which uses only one set of random signs
 _ROUNDING_FACTOR = 3.0
-# Polynomials through the start and the stages, and through only the stages.
+# Coefficients of the cubic polynomial through the start and the stages of a step, and of the
+# quadratic polynomial through the stages only.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
 _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
@@ -62,12 +63,12 @@ class Step:
 
     @property
     def end(self) -> float:
-        """Time at the end."""
+        """Time at the end of the step."""
         return self.start + self.length
 
     @property
     def last(self) -> np.ndarray:
-        """State at the end."""
+        """State at the end of the step."""
         return self.first + self.increments[:, 2]
 
     @property
@@ -76,31 +77,34 @@ class Step:
         return self.start + self.length * RADAU_NODES
 
     def at(self, t: np.ndarray | float) -> np.ndarray:
-        """States (n, nt) on the collocation polynomial."""
+        """Return the states (n, nt) on the collocation polynomial at times ``t`` (nt,)."""
         x = (np.atleast_1d(t) - self.start) / self.length
         powers = x ** np.arange(4)[:, None]
-        return self.first[:, None] + self._polynomials(powers[1:], powers[:3])
+        return self.first[:, None] + self._evaluate_polynomials(powers[1:], powers[:3])
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
-        """Time derivatives (n, nt); derivatives of algebraic unknowns are of low order."""
+        """Return the time derivatives (n, nt) of the states at times ``t`` (nt,).
+
+        The derivatives of algebraic unknowns are less accurate.
+        """
         x = (np.atleast_1d(t) - self.start) / self.length
         square = np.array([0.0 * x, x**0, 2 * x])
-        return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
+        return self._evaluate_polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
 
-    def _polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
+    def _evaluate_polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
         through_start = self.increments @ _CUBIC_MATRIX.T @ cubic
         alone = self.increments @ _SQUARE_MATRIX.T @ square
         return np.where(self.differential[:, None], through_start, alone)
 
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """States and rates (n, 3) at the stages, for quadrature over the step."""
+    def evaluate_stages(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states and their rates (n, 3) at the stages, for quadrature over the step."""
         return self.first[:, None] + self.increments, self.rate(self.stage_times)
 
 
 class Radau:
     """Integrator of one interval.
 
-    The steps have a given error (``advance``) or a given length (``take``).
+    The steps have a prescribed error (``find_step``) or a prescribed length (``take_step``).
     """
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
@@ -109,10 +113,10 @@ class Radau:
         self.interval, self.rows = interval, interval.rows
         self.active = interval.system.differential  # mask of the unknowns whose error is controlled
         self.before: Step | None = None
-        self._start(t, z)
+        self._start_step(t, z)
         self._linearise()
 
-    def _start(self, t: float, z: np.ndarray) -> None:
+    def _start_step(self, t: float, z: np.ndarray) -> None:
         """Set the state from which the next step begins."""
         self.t, self.z = t, z
         self.g, f = self.interval.at(t, z)
@@ -120,34 +124,34 @@ class Radau:
 
     def _linearise(self) -> None:
         """Compute the derivatives at the present state."""
-        self.M, self.J = self.interval.slopes(self.t, self.z)
+        self.M, self.J = self.interval.compute_slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
-        # rounding error of a change by Newton's method, relative to the tolerance
+        # rounding error of a correction by Newton's method, relative to the tolerance
         self.rounding = 0.0
 
     def choose_first_step(self, end: float) -> float:
-        """Choose the first step: a hundredth of the time in which the state doubles."""
+        """Choose the length of the first step from the relative rate of the state."""
         rates = np.linalg.lstsq(self.M, self.f, rcond=None)[0]
-        speed = _norm((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
+        speed = _compute_rms((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
         if speed <= 1e-300:
             return end - self.t
         first = min(0.5 * (0.01 / speed) ** 0.25, max(1e-12, 0.01 * self.rtol**-0.75 / speed))
         return min(end - self.t, first)
 
-    def _solve(self, right: np.ndarray, which: int) -> np.ndarray:
-        """Solve one of the two linear systems of a stage."""
+    def _solve_system(self, right: np.ndarray, which: int) -> np.ndarray:
+        """Solve one of the two linear systems of an iteration: the real or the complex system."""
         if np.iscomplexobj(self.lu[which][0]):
             return np.asarray(lapack.zgetrs(*self.lu[which][:2], right)[0])
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
 
-    def _newton_change(self, r: np.ndarray) -> np.ndarray:
-        """Compute the change (n, 3) of the stages for a residual ``r``."""
+    def _compute_newton_change(self, r: np.ndarray) -> np.ndarray:
+        """Compute the Newton correction (n, 3) of the stages for a residual ``r``."""
         real = np.outer(
-            self._solve(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
+            self._solve_system(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
             _vectors[:, _REAL_INDEX].real,
         )
         pair = np.outer(
-            self._solve(r @ _EIGENVECTORS_INVERSE[_PAIR_INDEX], 1), _vectors[:, _PAIR_INDEX]
+            self._solve_system(r @ _EIGENVECTORS_INVERSE[_PAIR_INDEX], 1), _vectors[:, _PAIR_INDEX]
         )
         return np.asarray(real + 2.0 * pair.real)
 
@@ -156,12 +160,12 @@ class Radau:
 
         Each equation has its own rounding error, in proportion to its largest terms.
         """
-        flow, stored = self.interval.term_sizes(X)
+        flow, stored = self.interval.sum_term_sizes(X)
         sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
         signs = np.random.default_rng(0).choice((-1.0, 1.0), sizes.shape)
-        return self._newton_change(_MACHINE_EPSILON * sizes * signs)
+        return self._compute_newton_change(_MACHINE_EPSILON * sizes * signs)
 
-    def _factor(self, h: float) -> None:
+    def _factorise(self, h: float) -> None:
         """Factorise the matrices for a step length."""
         if h == self.h_lu:
             return
@@ -178,14 +182,14 @@ class Radau:
                 "current source",
             )
 
-    def take(self, h: float) -> Step | None:
-        """Solve one step of length ``h``; None if Newton's method diverges or overflows."""
-        self._factor(h)
+    def take_step(self, h: float) -> Step | None:
+        """Return a step of length ``h``, None if Newton's method diverges or overflows."""
+        self._factorise(h)
         still = np.zeros((self.z.size, 3))
         if self.before is None:
             return self._solve_stages(h, still)
-        # The polynomial of a much shorter step extrapolates rounding errors. An exponential law
-        # then overflows, so that the state at the start is the better guess.
+        # If the step before was much shorter, its polynomial extrapolates rounding errors, and an
+        # exponential law overflows. The state at the start is then the better guess.
         predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
         return self._solve_stages(h, predicted) or self._solve_stages(h, still)
 
@@ -195,19 +199,23 @@ class Radau:
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
         scale = self.rtol * (1.0 + np.abs(self.z))
-        scale = np.where(self.active, scale, 1e3 * scale)  # inactive states do not propagate errors
+        # errors of inactive states do not propagate
+        scale = np.where(self.active, scale, 1e3 * scale)
         last = 0.0
         for k in range(_MAX_NEWTON_STEPS):
             X = np.concatenate((self.z[:, None] + Z, sources))
-            r = p.flow(X) - (p.stored_quantities(X) - self.g[:, None]) @ _RADAU_INVERSE.T / h
-            change = self._newton_change(r)
-            size = _norm(change / scale[:, None])
+            r = (
+                p.compute_right_sides(X)
+                - (p.compute_stored_quantities(X) - self.g[:, None]) @ _RADAU_INVERSE.T / h
+            )
+            change = self._compute_newton_change(r)
+            size = _compute_rms(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
             if not np.isfinite(size):
                 return None
             if rate >= 1.0 and size > max(_MAX_ROUNDING, self.rounding):
-                estimate = _norm(self._estimate_rounding(X, h) / scale[:, None])
-                # not larger than the tolerance
+                estimate = _compute_rms(self._estimate_rounding(X, h) / scale[:, None])
+                # the rounding error is not counted beyond the tolerance
                 self.rounding = min(1.0, _ROUNDING_FACTOR * estimate)
                 if size > self.rounding:
                     return None
@@ -222,17 +230,17 @@ class Radau:
             last = size
         return None
 
-    def accept(self, step: Step) -> None:
+    def accept_step(self, step: Step) -> None:
         """Accept a step: the next step starts at its end."""
         self.before = step
-        self._start(step.end, step.last)
+        self._start_step(step.end, step.last)
         if not self.interval.linear and self.iterations > 2:
             self._linearise()
 
-    def advance(self, h: float, end: float) -> tuple[Step, float]:
-        """Compute a step whose error is within the tolerance, and the next length.
+    def find_step(self, h: float, end: float) -> tuple[Step, float]:
+        """Return a step whose error is within the tolerance, and the length of the next step.
 
-        The step is not accepted yet.
+        The caller must accept the step.
         """
         rejected = False
         while True:
@@ -241,7 +249,7 @@ class Radau:
             h = min(h, end - self.t)
             if not rejected and end - self.t - h < 1e-3 * h:
                 h = end - self.t
-            step = self.take(h)
+            step = self.take_step(h)
             if step is None:
                 h, rejected = 0.5 * h, True
                 continue
@@ -253,23 +261,27 @@ class Radau:
             h, rejected = h * max(0.2, factor), True
 
     def _estimate_error(self, step: Step) -> float:
-        """Estimate the error in units of the tolerance."""
+        """Estimate the error of a step in units of the tolerance."""
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
-        # of the stored value; ``M`` times the unknowns belongs to an earlier state
-        late = p.stored_quantities(np.concatenate((step.first[:, None] + step.increments, sources)))
+        # Error of the stored quantities ``g``. ``M`` cannot be used, because it is the derivative
+        # at an earlier state.
+        late = p.compute_stored_quantities(
+            np.concatenate((step.first[:, None] + step.increments, sources))
+        )
         moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
-        error = self._solve(self.f + moved, 0)
-        return _norm((error / scale)[self.active])
+        error = self._solve_system(self.f + moved, 0)
+        return _compute_rms((error / scale)[self.active])
 
 
-def _norm(x: np.ndarray) -> float:
+def _compute_rms(x: np.ndarray) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 
-# a larger number of segments is a modelling error, such as a chattering contact
+# Largest number of segments of a run. More segments are a modelling error, such as a contact that
+# opens and closes without end.
 _MAX_SEGMENTS = 20_000
 
 
@@ -307,13 +319,13 @@ class Trajectory:
 
     @cached_property
     def waves(self) -> dict[str, np.ndarray]:
-        """Waves (nt,) by their names, from the collocation polynomials.
+        """Waves (nt,) from the collocation polynomials, keyed by name.
 
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
-        ``NAME.state`` and those that a device adds.
+        ``NAME.state`` and the names of waves that a device adds.
         """
-        # ngspice may round the time of a corner differently: the corner still belongs to the
-        # segment before.
+        # ngspice may round the time of a corner differently. The corner still belongs to the
+        # segment that ends there.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -331,7 +343,7 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> EnergyBalance:
-        """Energy balance by the energies at both ends and the quadrature of powers."""
+        """Energy balance of the run, from energies at its start and end, and integrated powers."""
         # sums of supplied and lost energies, and of their magnitudes
         came, went = np.zeros(2), np.zeros(2)
         for segment in self.segments:
@@ -340,8 +352,8 @@ class Trajectory:
             ):
                 sums += np.sum(energies), np.abs(energies).sum()
         begin, end = self.segments[0], self.segments[-1]
-        before = begin.interval.energy(begin.steps[0].start, begin.steps[0].first)
-        after = end.interval.energy(end.steps[-1].end, end.steps[-1].last)
+        before = begin.interval.compute_energy(begin.steps[0].start, begin.steps[0].first)
+        after = end.interval.compute_energy(end.steps[-1].end, end.steps[-1].last)
         residual = came[0] - went[0] + before - after
         return EnergyBalance(float(residual), float(came[1] + went[1] + abs(before)))
 
@@ -355,20 +367,22 @@ def solve_transient(
 ) -> Trajectory:
     """Integrate from equilibrium to ``stop`` [s].
 
-    Segments end at corners of sources and located zeros of the devices' guards.
-    ``times`` of the waves default to the accepted steps. ``progress`` receives the share done.
+    Segments end at corners of sources and where the guard of a device falls to zero. ``times`` are
+    the times of the waves, by default the ends of the accepted steps. ``progress`` is called with
+    the completed share of the run.
 
     Raises
     ------
-    SimulationError : there is no equilibrium, the equations are singular, or events never end.
+    SimulationError : there is no equilibrium, the equations are singular, or there are too many
+    events.
     """
-    z, modes = equilibrium(system)
+    z, modes = find_equilibrium(system)
     driven = [p.wave.corners(stop) for p in system.sources]
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    # guards at the end of the previous interval; the modes at rest contradict no guard
-    left = np.full_like(Interval(system, modes, 0.0).guards(0.0, z), np.inf)
+    # guards at the end of the previous interval; in equilibrium no guard requires another mode
+    left = np.full_like(Interval(system, modes, 0.0).compute_guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         while t < end:
@@ -386,7 +400,7 @@ def solve_transient(
             if steps:
                 segments.append(Segment(interval, tuple(steps)))
                 t, z = steps[-1].end, steps[-1].last
-            left = interval.guards(t, z)
+            left = interval.compute_guards(t, z)
             if fired is None:
                 t = end
             else:
@@ -402,11 +416,11 @@ def solve_transient(
 def _find_triggered_guard(
     interval: Interval, t: float, z: np.ndarray, left: np.ndarray
 ) -> int | None:
-    """Return the index of an event function that becomes negative at a jump of algebraic unknowns.
+    """Return the index of a guard that becomes negative at a jump of algebraic unknowns.
 
-    ``left`` are the guards before the jump, nan for guards that have switched.
+    ``left`` are the guards before the jump, nan for each guard whose device has changed its mode.
     """
-    guards = interval.guards(t, interval.solve_algebraic(t, z))
+    guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
         return None
     jumped = np.flatnonzero((left > 0.0) & (guards < 0.0))
@@ -430,32 +444,32 @@ def _integrate_interval(
     rtol: float,
     report_progress: Callable[[float], None],
 ) -> tuple[list[Step], int | None]:
-    """Integrate to ``end``, or to the first guard that falls to zero.
+    """Integrate until ``end``, or until a guard falls to zero.
 
-    Return the steps and the number of this guard, None without a guard.
+    Return the steps, and the index of this guard, None if no guard falls to zero.
     """
     z = interval.solve_algebraic(t, z)
-    before = interval.guards(t, z)
+    before = interval.compute_guards(t, z)
     solver = Radau(interval, t, z, rtol)
     limits = (source.wave.step_limit for source in interval.system.sources)
     limit = min(limits, default=np.inf)
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):
-        step, h_next = solver.advance(min(h or solver.choose_first_step(end), limit), end)
-        after = interval.guards(step.end, step.last)
+        step, h_next = solver.find_step(min(h or solver.choose_first_step(end), limit), end)
+        after = interval.compute_guards(step.end, step.last)
         wrong = np.flatnonzero((before < 0.0) & (after < before))
         if wrong.size:
             return steps, int(wrong[0])
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
         step, fired = _locate_zero(interval, solver, step, fell) if fell.size else (step, None)
-        inputs = interval.inputs(step.end, step.last)
+        inputs = interval.device_inputs(step.end, step.last)
         for device, e in zip(interval.system.devices, inputs, strict=True):
             device.law.require_in_range(step.end, e)
         steps.append(step)
         if fired is not None:
             return steps, fired
-        solver.accept(step)
+        solver.accept_step(step)
         report_progress(step.end)
         before, h = after, h_next
     return steps, None
@@ -464,33 +478,33 @@ def _integrate_interval(
 def _locate_zero(
     interval: Interval, solver: Radau, step: Step, fell: np.ndarray
 ) -> tuple[Step, int]:
-    """Shorten a step to the first zero of a guard, and solve it again."""
+    """Shorten a step so that it ends at the first zero of a guard, and solve it again."""
 
     def guard_value(t: float, k: int) -> float:
-        """Return the value of a guard at ``t``."""
-        return float(interval.guards(t, step.at(t)[:, 0])[k])
+        """Return the value of guard ``k`` at the time ``t``."""
+        return float(interval.compute_guards(t, step.at(t)[:, 0])[k])
 
     t0, t1 = step.start, step.end
     low = t0 + 1e-12 * step.length
 
     def find_root(k: int) -> float:
-        """Return the first zero of a guard."""
+        """Return the time of the first zero of guard ``k``."""
         if guard_value(low, k) <= 0.0:
             return low
         crosses = guard_value(t1, k) < 0.0
         return brentq(guard_value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
     def shorten_step(h: float) -> Step:
-        """Solve a shorter step; interpolate if Newton's method fails."""
+        """Solve a step of length ``h``; interpolate the longer step if Newton's method fails."""
         stages = step.at(t0 + h * RADAU_NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
-        return solver.take(h) or rough
+        return solver.take_step(h) or rough
 
     at, guard = min((find_root(int(k)), int(k)) for k in fell)
-    h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may equal t0
+    h = max(at - t0, 1e-12 * step.length)  # positive even if ``at`` rounds to t0 late in a run
     result = shorten_step(h)
-    for _ in range(2):  # the polynomial has a lower order than the step
-        miss = float(interval.guards(t0 + h, result.last)[guard])
+    for _ in range(2):  # the collocation polynomial is less accurate than the end of the step
+        miss = float(interval.compute_guards(t0 + h, result.last)[guard])
         rate = (guard_value(t0 + h, guard) - guard_value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
             break
@@ -500,12 +514,15 @@ def _locate_zero(
 
 
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
-    """Compute energies [J] that sources and devices bring in, and the losses."""
+    """Return the supplied energies [J] and the lost energies [J] of a segment.
+
+    The items of both lists belong to sources, linear laws and devices.
+    """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
     w = np.outer([*map(attrgetter("length"), steps)], RADAU_WEIGHTS).ravel()
-    z, r = map(np.hstack, zip(*map(Step.nodes, steps), strict=True))
-    X = interval.with_sources(t, z)
+    z, r = map(np.hstack, zip(*map(Step.evaluate_stages, steps), strict=True))
+    X = interval.append_sources(t, z)
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:

@@ -1,12 +1,12 @@
 """Linearisation of a circuit at its operating point: response, modes and noise.
 
-The motion is exact under waveforms of straight lines and sines.
+The motion is exact if all sources have waveforms of straight lines and sines.
 
 The admittance ``Y`` of a linear law is the through quantity divided by the rate of the across
-quantity. Its thermal noise is a through quantity with the one-sided spectral density ``4 k T (Y +
-Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). The noise of a body
-follows from the responses at its ports. The netlist of the body contains a noise force of each mode
-instead.
+quantity. The thermal noise of this law is a through quantity with the one-sided spectral density
+``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). The noise of a
+body is computed from the responses at its ports, whereas the netlist of a body contains one noise
+force for each mode.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ import scipy.linalg as sla
 from kc2spice.core import laws as L
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
-from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.equilibrium import Interval, find_equilibrium
 from kc2spice.reference.system import System, assemble_system
 
-_MAX_BASIS_CONDITION = 1e9  # condition of the eigenvectors beyond which modes have no meaning
-# rates above this fraction of the largest rate are not those of rigid-body modes
+# condition number of the eigenvectors beyond which modes have no meaning
+_MAX_BASIS_CONDITION = 1e9
+# rates above this fraction of the largest rate do not belong to rigid-body modes
 _RIGID_RATE_RATIO = 1e-7
 _RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, in units of its rounding error
-CANCELLATION_ROUNDING = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
+CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum of cancelling terms, relative to the terms
 # largest effect of the sources on rigid-body modes, relative to their total effect
 _MAX_RIGID_EFFECT = 1e-7
 
-Warp = Callable[[np.ndarray], np.ndarray]
+RateMap = Callable[[np.ndarray], np.ndarray]
 
 
 class LinearisedSystem:
-    """Equations ``d/dt (G X) = F X`` of deviations ``X = [z, s, s']`` from rest.
+    """Equations ``d/dt (G X) = F X`` of deviations ``X = [z, s, s']`` from equilibrium.
 
-    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. ``exact`` states
-    whether the system is linear: the equations then hold for motions of any size.
+    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. If the system is
+    linear, ``exact`` is true, and the equations are valid for motions of any size.
 
-    Devices that depend on the frequency are linearised at the rate ``at``. ``point`` is a known
-    equilibrium.
+    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` is the
+    equilibrium if it is already known.
 
     Raises
     ------
@@ -60,12 +61,14 @@ class LinearisedSystem:
         point: tuple[np.ndarray, list[Any]] | None = None,
     ) -> None:
         self.system = system
-        self.z0, self.device_modes = point or equilibrium(system)
+        self.z0, self.device_modes = point or find_equilibrium(system)
         interval = Interval(system, self.device_modes, 0.0)
         self.rows, self.exact = interval.rows, not system.devices
         self.G, self.F = system.G, system.F
         slopes, charges = [np.zeros((0, self.F.shape[1]))], [np.zeros((0, self.F.shape[1]))]
-        devices = zip(system.devices, interval.inputs(0.0, self.z0), self.device_modes, strict=True)
+        devices = zip(
+            system.devices, interval.device_inputs(0.0, self.z0), self.device_modes, strict=True
+        )
         for device, e, mode in devices:
             slope, charge_slope = device.law.small_signal_derivatives(at, e, mode)
             rated = np.zeros_like(slope)
@@ -89,7 +92,7 @@ class LinearisedSystem:
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
-    def terms(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
+    def sum_term_sizes(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Sum the absolute values (ny,) of all terms of each output of :meth:`respond`."""
         X = self._solve_unknowns(w, amplitudes)
         return self._term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
@@ -98,12 +101,13 @@ class LinearisedSystem:
         """Return ``X`` (N,) for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without frequency-dependent devices
+        # the scales of rows do not include frequency-dependent devices
+        size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
     def _term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) for these columns of unknowns."""
+        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) with some ``columns`` of C0 and C1."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
@@ -128,8 +132,8 @@ class LinearisedSystem:
     def poles(self) -> np.ndarray:
         """Natural frequencies ``a`` (m,) [1/s] of free motions ``e^(a t)``, complex.
 
-        If the states do not determine the algebraic unknowns, these are the finite eigenvalues of
-        ``F X = a G X``.
+        If the states do not determine the algebraic unknowns, the natural frequencies are the
+        finite eigenvalues of ``F X = a G X``.
         """
         motion = self._free_motion
         if motion is not None:
@@ -137,23 +141,22 @@ class LinearisedSystem:
         n = self.system.size
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
-    def output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rows (N,) of ``C0`` and ``C1`` that give the reading ``of``."""
+    def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
+        """Return the combinations (N,) of rows of ``C0`` and ``C1`` that give the result ``of``."""
         names = self.system.names
         rows = of.combine(dict(zip(names, self.C0, strict=True)))
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
-    def zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute rates ``w`` (m,) [1/s] at which a reading is zero.
+    def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
+        """Compute the complex rates ``w`` (m,) [1/s] at which the result ``of`` is zero.
 
-        The sources are ``amplitudes e^(w t)``, and the rates are complex.
-
-        With ``v = w u`` and the sources ``amplitudes u`` it is a linear eigenvalue problem of
-        ``[X, u, v]``: the equations, ``w u = v``, and the reading (H. H. Rosenbrock, State-Space
-        and Multivariable Theory (1970)).
+        The sources are ``amplitudes e^(w t)``. They are written as ``amplitudes u`` with ``v = w
+        u``. The rates are the eigenvalues of a linear problem for ``[X, u, v]``. Its rows are the
+        equations of the circuit, ``w u = v``, and the result, which is zero (H. H. Rosenbrock,
+        State-Space and Multivariable Theory (1970)).
         """
         n, k = self.system.size, len(self.system.sources)
-        C0, C1 = self.output_rows(of)
+        C0, C1 = self.combine_output_rows(of)
         substitution = np.zeros((n + 2 * k, n + 2), dtype=complex)
         substitution[:n, :n] = np.eye(n)
         substitution[n : n + k, n], substitution[n + k :, n + 1] = amplitudes, amplitudes
@@ -203,13 +206,24 @@ class LinearisedSystem:
             if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
-        still, drift = self._follow_lines(motion, rates, shapes, drives)
-        return Modes(rates, out, terms, np.asarray(drive), reading @ off, level, still, drift)
+        static_gains, slope_responses = self._follow_lines(motion, rates, shapes, drives)
+        return Modes(
+            rates,
+            out,
+            terms,
+            np.asarray(drive),
+            reading @ off,
+            level,
+            static_gains,
+            slope_responses,
+        )
 
     def _follow_lines(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs (sources, ny) ``still u + drift du/dt`` for sources on straight lines.
+        """Return the static gains and the slope responses (sources, ny) of the outputs.
+
+        For a source u that follows a straight line, an output is ``gain u + response du/dt``.
 
         With ``a' = rates a + d0 u + d1 du/dt``, the amplitudes of the modes are ``-d0 u / rates -
         (d0 / rates^2 + d1 / rates) du/dt``. Sums over modes keep the accuracy of differences to
@@ -227,16 +241,16 @@ class LinearisedSystem:
             z[cols], z[~cols] = x, motion.follow @ x - motion.inner @ B[~rows]
             lines.append(z)
         slope, offset = lines
-        still = self.C0[:, :n] @ slope + self.C0[:, n : n + k]
-        drift = self.C0[:, :n] @ offset + self.C0[:, n + k :]
-        drift = drift + self.C1[:, :n] @ slope + self.C1[:, n : n + k]
-        return still.T, drift.T
+        static_gains = self.C0[:, :n] @ slope + self.C0[:, n : n + k]
+        slope_responses = self.C0[:, :n] @ offset + self.C0[:, n + k :]
+        slope_responses = slope_responses + self.C1[:, :n] @ slope + self.C1[:, n : n + k]
+        return static_gains.T, slope_responses.T
 
-    def motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
+    def solve_motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
         """Compute the exact motion up to ``stop`` [s] under the waveforms of the sources.
 
-        The result is None if a source has another shape than straight lines and sines, or if
-        there are no modes.
+        The result is None if the waveform of a source consists of other curves than straight lines
+        and sines, or if there are no modes.
         """
         modes = self.modes
         if modes is None:
@@ -259,7 +273,7 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
     ``Result.waves``, ``NAME.pin`` and ``NAME.pin.through``.
     """
     amplitude = np.array([*map(attrgetter("ac"), system.sources)], dtype=complex)
-    frequencies, point = np.asarray(frequencies, dtype=float), equilibrium(system)
+    frequencies, point = np.asarray(frequencies, dtype=float), find_equilibrium(system)
     result = []
     for w in 2j * np.pi * frequencies:
         result.append(LinearisedSystem(system, w, point).respond(w, amplitude))
@@ -268,10 +282,10 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
-    """Compute rates (m,), shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
+    """Compute rates (m,), mode shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
 
-    The last result contains left vectors (n - m, n) of motions without restoring force. The rates
-    are None if the shapes do not form a basis.
+    The last result contains the left vectors (n - m, n) of rigid-body motions. The rates are None
+    if the mode shapes do not form a basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     limit = _RIGID_RATE_RATIO * size
@@ -290,7 +304,7 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the Schur form and vectors of ``F``, and the number of rates above ``limit``.
 
-    These rates precede the others.
+    The rates above ``limit`` come first.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
@@ -309,9 +323,9 @@ def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Find the times from zero on at which the slope of source ``k`` jumps.
+    """Find the times, not before zero, at which the slope of source ``k`` jumps.
 
-    The result also contains the jumps.
+    Each item of the result is a time, the index ``k``, and the jump.
     """
     times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
@@ -325,9 +339,9 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
 class _FreeMotion:
     """Homogeneous equations ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
 
-    ``inverse`` is the inverse of the part of ``G`` that belongs to the states. ``cut`` maps right
-    sides of the algebraic equations to right sides of the states' equations. ``inner`` is the
-    inverse of the part of ``F`` that belongs to the algebraic unknowns.
+    ``inverse`` is the inverse of the block of ``G`` for the states. ``cut`` maps the right-hand
+    sides of the algebraic equations to right-hand sides of the equations of the states.
+    ``inner`` is the inverse of the block of ``F`` for the algebraic unknowns.
     """
 
     rates: np.ndarray
@@ -343,11 +357,12 @@ class Modes:
 
     The waves are ``y = level + sum_i out_i a_i``.
 
-    Products of ``out`` (ny, m) and ``drive`` (m, sources) are residues of the poles ``rates`` (m,)
-    [1/s]. ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``. ``start``
-    (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution for the sources
-    at t = 0. ``still`` (sources, ny) are the static gains, and ``drift`` (sources, ny) the outputs
-    per slope of a source that follows a straight line.
+    The products of ``out`` (ny, m) and ``drive`` (m, sources) are the residues at the poles
+    ``rates`` (m,) [1/s]. ``terms`` (ny, m) are the sums of the absolute values of all terms of
+    ``out``. ``start`` (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution
+    for the values of the sources at t = 0. ``static_gains`` (sources, ny) are the responses to
+    constant sources, and ``slope_responses`` (sources, ny) the responses per slope of a source that
+    follows a straight line.
     """
 
     rates: np.ndarray
@@ -356,11 +371,11 @@ class Modes:
     drive: np.ndarray
     start: np.ndarray
     level: np.ndarray
-    still: np.ndarray
-    drift: np.ndarray
+    static_gains: np.ndarray
+    slope_responses: np.ndarray
 
     @property
-    def quality(self) -> np.ndarray:
+    def q_factors(self) -> np.ndarray:
         """Q factors (m,); modes with a Q factor below 0.5 do not oscillate."""
         return np.abs(self.rates) / np.maximum(-2 * self.rates.real, 1e-30)
 
@@ -378,12 +393,12 @@ class ExponentialSolution:
 
     @property
     def corners(self) -> np.ndarray:
-        """Times at which sources excite modes."""
+        """Times [s] at which a source begins, or its slope jumps, so that it excites modes."""
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 
     @property
-    def moves(self) -> bool:
+    def is_moving(self) -> bool:
         """Whether the solution changes after the start."""
         return bool(self.kinks or self.sines or self.modes.start.any())
 
@@ -391,21 +406,22 @@ class ExponentialSolution:
         self,
         t: np.ndarray,
         outputs: np.ndarray,
-        rates: Warp | None = None,
-        axis: Warp | None = None,
+        rates: RateMap | None = None,
+        axis: RateMap | None = None,
     ) -> np.ndarray:
         """Compute waves (nt, len(outputs)) at increasing times.
 
-        The waves follow a rule of integration if ``rates`` maps the rates of modes, and
-        ``axis`` the frequency ``j w`` of a sine, to the values of this rule.
+        By default, the waves are exact. If ``rates`` maps the rates of modes, and ``axis`` the
+        frequency ``j w`` of a sine, to the values that an integration rule realises, the waves are
+        the result of this integration rule.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
         for k, wave in enumerate(self.waves):
             if wave.is_piecewise_linear:
-                y += np.outer(wave(t) - wave(0.0), self.modes.still[k][outputs])
-                y += np.outer(wave.rate(t, t), self.modes.drift[k][outputs])
+                y += np.outer(wave(t) - wave(0.0), self.modes.static_gains[k][outputs])
+                y += np.outer(wave.rate(t, t), self.modes.slope_responses[k][outputs])
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
@@ -413,14 +429,18 @@ class ExponentialSolution:
             on = t >= wave.start
             turned = np.exp(jw[0] * (t - wave.start)) * on
             y += wave.amplitude * (turned[:, None] * answer).imag
-        for first, last, amplitudes in self._spans(moved):
+        for first, last, amplitudes in self._list_intervals(moved):
             inside = (t >= first) & (t < last) if last < self.stop else t >= first
             if inside.any():
                 grown = np.exp(np.outer(t[inside] - first, moved))
                 y[inside] += (grown @ (self.modes.out[outputs] * amplitudes).T).real
         return y
 
-    def _spans(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
+    def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
+        """Return the intervals between corners, and amplitudes of the modes at their starts.
+
+        ``moved`` (m,) are the rates at which the amplitudes change in an interval.
+        """
         poles, drive = self.modes.rates, self.modes.drive
         begun: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
         for t, k, jump in self.kinks:
@@ -438,32 +458,35 @@ class ExponentialSolution:
             now = now * np.exp(moved * (end - t))
         return result
 
-    def peaks(self) -> np.ndarray:
-        """Largest amplitude (m, ny) of each mode in each wave."""
+    def find_peak_amplitudes(self) -> np.ndarray:
+        """Return the largest amplitude (m, ny) of each mode in each wave."""
         return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
 
-    def rounding(self) -> np.ndarray:
-        """Rounding error (ny,) of each wave, whose terms may cancel.
+    def estimate_rounding(self) -> np.ndarray:
+        """Estimate the rounding error (ny,) of each wave, whose terms may cancel.
 
-        The forces on a joint without mass, and the currents into a node, add up to zero. The sum
-        is rounding noise below :data:`CANCELLATION_ROUNDING` of the absolute values of the terms of
-        all modes and sines, and no time step can resolve it.
+        The forces on a joint without mass, and the currents into a node, add up to zero. The
+        computed sum is a rounding error, which no time step can reduce. The estimate is
+        :data:`CANCELLATION_ROUNDING` times the absolute values of the terms of all modes and sines.
         """
         result = self.modes.terms @ self._amplitudes
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             w = 2j * np.pi * wave.frequency
-            result = result + self.linear.terms(w, wave.amplitude * unit[k])
+            result = result + self.linear.sum_term_sizes(w, wave.amplitude * unit[k])
         return np.asarray(CANCELLATION_ROUNDING * result)
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:
         """Largest amplitude (m,) of each mode."""
-        amplitudes = np.array([*map(itemgetter(2), self._spans(self.modes.rates))])
+        amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
-    def samples(self, count: int) -> np.ndarray:
-        """Choose times that resolve the whole motion and the starts at the outer corners."""
+    def choose_sample_times(self, count: int) -> np.ndarray:
+        """Choose times [s] that resolve the motion, in particular after the outer corners.
+
+        The outer corners are the first eight and the last eight corners of the sources.
+        """
         spread = np.random.default_rng(0).uniform(0.0, self.stop, count)
         corners = self.corners
         outer = np.unique(np.concatenate([corners[:8], corners[-8:]]))
@@ -475,27 +498,31 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the spectral density (nf,) of a reading at frequencies ``f`` [Hz].
+    """Compute the noise density (nf,) of the result ``of`` at frequencies ``f`` [Hz].
 
-    The unit of the density is the unit of the reading per root Hz.
-
-    ``joins`` are described at :func:`kc2spice.reference.system.assemble_system`.
+    The unit of the density is the unit of the result per root Hz. The function
+    :func:`kc2spice.reference.system.assemble_system` describes ``joins``.
     """
     answering = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law
         for law in laws
     )
     system = assemble_system(answering, joins)
-    point = equilibrium(system)
-    power = [_noise_power(LinearisedSystem(system, s, point), of, s) for s in 2j * np.pi * f]
+    point = find_equilibrium(system)
+    power = [
+        _compute_noise_power(LinearisedSystem(system, s, point), of, s) for s in 2j * np.pi * f
+    ]
     return np.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * np.array(power))
 
 
-def _noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
-    """Sum the densities from all sources of unit density by the adjoint circuit."""
+def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
+    """Return the squared density of a result from noise sources of unit density.
+
+    The adjoint circuit gives the transfer functions from all noise sources at once.
+    """
     system = at.system
     n, k = system.size, len(system.sources)
-    C0, C1 = at.output_rows(of)
+    C0, C1 = at.combine_output_rows(of)
     P = (s * at.G - at.F)[:, :n]
     level = np.abs(P).max(axis=1)
     adjoint = np.linalg.solve((P / level[:, None]).T, (C0 + s * C1)[:n]) / level
@@ -515,7 +542,7 @@ def _noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> flo
 
 
 def _compute_finite_eigenvalues(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the finite eigenvalues ``w`` of ``A x = w B x``, whose rows have different units."""
+    """Return the finite eigenvalues ``w`` of ``A x = w B x``, whose rows may differ in unit."""
     for axis in (1, 0):
         size = np.maximum(np.abs(A), np.abs(B)).max(axis=axis, keepdims=True)
         size = np.where(size, size, 1.0)

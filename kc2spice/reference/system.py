@@ -1,9 +1,9 @@
 """Equations of any set of laws, reduced to differential-algebraic equations of index 1.
 
-Raw unknowns are displacements q, velocities v, node voltages, signals and states of devices. Rigid
-joints and ideal voltage or displacement sources are linear constraints on them. A basis of their
-null space leaves n unknowns z; with the sources s and their rates s' they make ``X = [z, s, s']``
-(N,)::
+The unknowns of the laws are displacements q, velocities v, node voltages, signals and states of
+devices. Rigid joints, voltage sources and displacement sources are linear constraints on these
+unknowns. In the null space of the constraints, n unknowns z remain. The vector ``X = [z, s, s']``
+(N,) contains z, the sources s and the rates s' of the sources::
 
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 """
@@ -24,24 +24,24 @@ from kc2spice.core import laws as L
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
-MICRO = 1e-6  # m, reference displacement of error scales
+MICRO = 1e-6  # displacement [m] that scales errors of displacements
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """Device with inputs ``inputs @ X``; ``into`` maps its outputs to rows of ``f``."""
+    """Device with the inputs ``inputs @ X``; ``into`` maps its outputs to rows of ``f``."""
 
     law: L.Device
     inputs: np.ndarray  # (m, N)
     into: np.ndarray  # (n, k)
-    stores: np.ndarray | None  # (n, stored), if the stored quantities are not the states
+    stores: np.ndarray | None  # (n, stored); None if the stored quantities are the states
     states: np.ndarray  # positions of the states among the unknowns
     first: int  # position of the outputs of the device among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs (k,) for inputs ``e`` and their rate.
+        """Compute the outputs (k,) for inputs ``e`` and the rates of the inputs.
 
-        The outputs contain the rates of charges.
+        The outputs include the currents that change stored charges.
         """
         law, result = self.law, self.law.evaluate_outputs(e, mode)
         if law.charged:
@@ -58,15 +58,16 @@ class InitialValue:
     value: float
     rate: np.ndarray
     speed: float
-    into: np.ndarray  # (n,) balances in which the force that enforces the value acts
+    into: np.ndarray  # (n,) rows of the balances on which the force acts that enforces the value
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Reduced equations, and the waves as functions of their unknowns.
+    """Equations of a circuit after the elimination of constraints, and the formula of its waves.
 
-    Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
-    of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' dissipated X`` [W].
+    The waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the
+    sequence of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose
+    ``X' dissipated X`` [W].
     """
 
     G: np.ndarray  # (n, N)
@@ -77,7 +78,7 @@ class System:
     moved: np.ndarray  # (m,) indices of the corresponding displacements
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
-    # devices whose outputs and stores are in ``G``, ``F`` and ``const``
+    # devices whose outputs and stored quantities ``G``, ``F`` and ``const`` already include
     linear: tuple[PlacedDevice, ...]
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
@@ -91,15 +92,15 @@ class System:
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
+        """Number of unknowns z."""
         return self.const.size
 
     def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
-        """Evaluate derivatives of the sources, (2 sources,) or (2 sources, nt).
+        """Evaluate the time derivatives of the sources: (2 sources,) or (2 sources, nt).
 
-        The results are the derivatives of the ``order`` and of the next order.
-
-        The derivatives belong to the smooth pieces of the sources that contain the time ``within``.
+        The first half of the result contains the derivatives of order ``order``, and the second
+        half the derivatives of order ``order + 1``. If a waveform has corners, the derivatives
+        belong to its smooth piece that contains the time ``within``.
         """
         result = []
         for k in (order, order + 1):
@@ -111,20 +112,21 @@ class System:
 def assemble_system(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], max_unknowns: int | None = None
 ) -> System:
-    """Join the pins of ``laws`` at nets.
+    """Return the equations of ``laws`` whose pins are joined at nets.
 
-    ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind. The net ``gnd`` is the
-    reference of every kind.
+    ``joins`` maps the name of a net to its pins ``NAME.pin``, which have the same kind. The net
+    ``gnd`` is the reference of every kind.
 
     Raises
     ------
-    UsageError : ideal sources contradict each other, or there are more than ``max_unknowns``.
+    UsageError : ideal sources contradict each other, or there are more than ``max_unknowns``
+    unknowns.
     """
     laws = tuple(laws)
-    # no constraint eliminates a state of a device: too many of them need no matrices
+    # no constraint eliminates a state of a device, so states can be counted without the matrices
     states = sum(len(law.states) for law in laws if isinstance(law, L.Device))
     _require_few_unknowns(states, max_unknowns)
-    system = _Assembly(laws, joins).reduce()
+    system = _Assembly(laws, joins).eliminate_constraints()
     _require_few_unknowns(system.size, max_unknowns)
     return system
 
@@ -136,9 +138,9 @@ def _require_few_unknowns(count: int, max_unknowns: int | None) -> None:
 
 
 class _Assembly:
-    """Raw equations of laws before the elimination of constraints.
+    """Equations of laws before the elimination of constraints.
 
-    The row of a displacement is a balance of forces, the row of a node voltage a balance of
+    The row of a displacement is a balance of forces, and the row of a node voltage is a balance of
     currents.
     """
 
@@ -156,11 +158,12 @@ class _Assembly:
         self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-        self.moving = np.zeros((self.nq, self.nq))  # mask of displacements that need velocities
+        # mask of displacements whose velocities are unknowns
+        self.moving = np.zeros((self.nq, self.nq))
         self.charged = np.zeros((n, n))  # voltages on which the charges of devices depend
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        # linear forms with the numbers of their sources
+        # linear forms that equal the value of a source, and the numbers of these sources
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
@@ -175,14 +178,14 @@ class _Assembly:
         for law in laws:
             match law:
                 case L.SecondOrderBody():
-                    _stamp_body(law, self)
+                    _add_body(law, self)
                 case L.IdealSource():
-                    _stamp_source(law, self)
+                    _add_source(law, self)
                 case _:
-                    _stamp_device(law, self)
+                    _add_device(law, self)
 
     def _number_unknowns(self) -> None:
-        """Number the unknowns; a net on the port of a body needs no further unknown."""
+        """Number the unknowns; a net at a port of a body has the unknown of the body."""
         used = dict.fromkeys(self.nets.values())
         used.pop(L.GROUND, None)
 
@@ -245,7 +248,7 @@ class _Assembly:
 
     # --- linear forms of the unknowns for the stamps ---
 
-    def form(self, law: L.Law, pin: str) -> np.ndarray:
+    def find_form(self, law: L.Law, pin: str) -> np.ndarray:
         """Return the displacement, voltage or signal of a pin as a linear form of the unknowns."""
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
         if net == L.GROUND:
@@ -257,14 +260,15 @@ class _Assembly:
         return row
 
     def subtract_pins(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Subtract the linear forms of ``others`` from the form of a pin; empty names are
-        ignored."""
-        return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
+        """Subtract the linear forms of the pins ``others`` from the form of a pin.
 
-    def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
+        Empty names are ignored."""
+        return np.asarray(self.find_form(law, a) - sum(self.find_form(law, b) for b in others if b))
+
+    def convert_to_velocity(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
         """Convert a linear form of displacements to velocities.
 
-        Velocities that are not ``needed`` may be missing.
+        If ``needed`` is true, the velocities become unknowns; otherwise some may be missing.
         """
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
@@ -281,22 +285,24 @@ class _Assembly:
         """Add the constraint ``form @ raw = s[source]``, zero for the source -1."""
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
-    def states(self, law: L.Device) -> np.ndarray:
+    def find_states(self, law: L.Device) -> np.ndarray:
         """Return the indices of a device's states among the unknowns."""
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
-    def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Return the balances (size, stored) that contain the rates of a device's stored
-        quantities.
-        """
-        return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
+    def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
+        """Return the balances (size, stored) to which a device adds rates of stored quantities."""
+        return np.hstack(
+            [np.eye(self.size)[:, self.find_states(law)], -outputs[:, list(law.charged)]]
+        )
 
     # --- reduction --------------------------------------------------------------------------------
 
-    def _constraint_basis(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis of unconstrained motions, and R of ``y = R s``.
+    def _compute_constraint_basis(
+        self, where: slice, sizes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute a basis of unconstrained motions, and the motion ``R s`` for sources ``s``.
 
-        The basis and R are in units of ``sizes``.
+        The basis and the matrix R are in units of ``sizes``.
         """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
@@ -321,12 +327,12 @@ class _Assembly:
         free[mixed, others.size :] = vt[rank:].T
         return sizes[:, None] * free, sizes[:, None] * R
 
-    def reduce(self) -> System:
-        """Eliminate the constraints, separate unknowns without inertia, and scale."""
+    def eliminate_constraints(self) -> System:
+        """Eliminate the constraints, separate the unknowns without inertia, and scale the rows."""
         nq, n = self.nq, self.size
         vel, vol, rest = slice(nq, 2 * nq), slice(2 * nq, 2 * nq + len(self.node)), self.extra_sizes
-        Nq, Rq = self._constraint_basis(slice(0, nq), self.sizes)
-        Nv, Rv = self._constraint_basis(vol, rest[: len(self.node)])
+        Nq, Rq = self._compute_constraint_basis(slice(0, nq), self.sizes)
+        Nv, Rv = self._compute_constraint_basis(vol, rest[: len(self.node)])
         mass = self.M[:nq, vel]
         Nq, moving = _separate_columns(Nq, self.M[:nq, vel] - self.A[:nq, vel] + self.moving)
         charge = self.M[vol, :]
@@ -373,10 +379,10 @@ class _Assembly:
         devices, differential = [], np.abs(M).max(axis=0) > 0.0
         first = 0
         for law, inputs, into in (*self.attached, *self.linear):
-            where = self.states(law)
+            where = self.find_states(law)
             small, stores = where - n + size, None
             if law.has_stored_quantities:
-                storing = self.stores(law, into)
+                storing = self.find_store_rows(law, into)
                 stores = W.T @ storing
                 if not law.linear:
                     differential[small] = True
@@ -406,19 +412,25 @@ class _Assembly:
     def _compute_waves(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
-        """Compute across quantities ``NAME.pin``, flows ``.through`` pins, and states.
+        """Return the formulas of all waves: across quantities, through quantities and states.
 
-        Mechanical pins also have a wave ``.rate``. The residual of the raw equations is the flow
-        of a source that prescribes a quantity.
+        Their names are ``NAME.pin``, ``NAME.pin.through`` and ``NAME.state``. Mechanical pins also
+        have a wave ``NAME.pin.rate``. The flow of a source is the residual of the balances before
+        the elimination of constraints.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
         for law in self.laws:
             for pin in law.pins:
-                name, form = f"{law.name}.{pin.name}", self.form(law, pin.name)
+                name, form = f"{law.name}.{pin.name}", self.find_form(law, pin.name)
                 rows[name] = (form @ expansion, 0.0, 0.0, 0.0)
                 if pin.kind in L.MECHANICAL:
-                    rows[f"{name}.rate"] = (self.rate(form, False) @ expansion, 0.0, 0.0, 0.0)
+                    rows[f"{name}.rate"] = (
+                        self.convert_to_velocity(form, False) @ expansion,
+                        0.0,
+                        0.0,
+                        0.0,
+                    )
         for name, (at_once, rated, constant) in self.flows.items():
             rows[f"{name}.through"] = (at_once @ expansion, rated @ expansion, 0.0, constant)
         for device in devices:
@@ -455,14 +467,14 @@ class _Assembly:
 
 
 def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
-    """Stack rows (width,) and numbers; a number represents a row of equal entries."""
+    """Stack rows (width,); an item that is a number becomes a row of equal entries."""
     return np.array([row + np.zeros(width) for row in rows])
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that ``pattern`` acts on some of its columns only.
+    """Rotate a basis so that the matrix ``pattern`` is zero for as many columns as possible.
 
-    The pattern is not negative.
+    The matrix ``pattern`` is positive semidefinite.
     """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)
@@ -478,8 +490,8 @@ def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarra
 # --- stamps ---------------------------------------------------------------------------------------
 
 
-def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
-    """Stamp the matrices of a body."""
+def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
+    """Add the matrices of a body to the equations."""
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
@@ -495,15 +507,15 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind in L.CHARGE_OUTPUTS:
             volts[k] = into.subtract_pins(law, port.name, port.ret)
         elif port.kind == ACCELERATION.name:
-            shaken[k] = into.form(law, port.name)
+            shaken[k] = into.find_form(law, port.name)
 
     def direct_form(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
-        """Return the contribution of D to an output."""
+        """Return the contribution of the matrix D to output ``k``."""
         return sum((D[k, j] * form for j, form in forms.items()), np.zeros(n))
 
     for k, port in enumerate(law.ports):
         if port.kind == ACCELERATION.name:
-            into.A[x] += np.outer(B[:, k], into.form(law, port.name))
+            into.A[x] += np.outer(B[:, k], into.find_form(law, port.name))
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
         elif port.kind in L.CHARGE_OUTPUTS:
             into.A[x] += np.outer(B[:, k], volts[k])
@@ -532,7 +544,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind == ACCELERATION.name:  # adds v' B a, because the acceleration supplies power
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
-            into.add_energy("dissipated", np.vstack([moving, into.form(law, port.name)]), work)
+            into.add_energy("dissipated", np.vstack([moving, into.find_form(law, port.name)]), work)
     if heat:
         into.add_energy("stored", motion, 0.5 * E)
         into.add_energy("dissipated", motion, K)
@@ -545,35 +557,37 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         into.add_energy("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
-def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
-    """Stamp a source as a constraint."""
+def _add_source(law: L.IdealSource, into: _Assembly) -> None:
+    """Add a source to the equations as a constraint."""
     k = into.sources.index(law)
     if law.sets_signal:
-        into.S[:, k] += into.form(law, "out")
+        into.S[:, k] += into.find_form(law, "out")
         return
     form = into.subtract_pins(law, "out", "ret")
     if law.prescribes_flow:
         into.S[:, k] += form
-        into.rate(form)  # needed for the power of the source
+        into.convert_to_velocity(form)  # needed for the power of the source
     else:
         into.add_constraint(form, k)
 
 
-def _stamp_device(law: L.Device, into: _Assembly) -> None:
-    """Stamp a device."""
+def _add_device(law: L.Device, into: _Assembly) -> None:
+    """Add a device to the equations."""
     forms = []
     for across in law.across_inputs:
         form = into.subtract_pins(law, across.pin, across.minus, across.less)
-        forms.append(into.rate(form) if across.rate else form)
+        forms.append(into.convert_to_velocity(form) if across.rate else form)
     if law.start is not None:
-        into.initial_values.append((forms[0], law.start[0], into.rate(forms[0]), law.start[1]))
-    states = np.eye(into.size)[into.states(law)]
+        into.initial_values.append(
+            (forms[0], law.start[0], into.convert_to_velocity(forms[0]), law.start[1])
+        )
+    states = np.eye(into.size)[into.find_states(law)]
     through = [-into.subtract_pins(law, f.pin, f.minus, f.less) for f in law.flows]
-    driven = map(partial(into.form, law), law.prescribed_signals)
+    driven = map(partial(into.find_form, law), law.prescribed_signals)
     inputs = np.array([*forms, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
-        _stamp_linear(law, into, inputs, outputs)
+        _add_linear(law, into, inputs, outputs)
         return
     if not law.has_stored_quantities:
         into.M += states.T @ states
@@ -582,14 +596,14 @@ def _stamp_device(law: L.Device, into: _Assembly) -> None:
     into.attached.append((law, inputs, outputs))
 
 
-def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
-    """Stamp the constant matrices of a linear device, its energy and its loss."""
+def _add_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
+    """Add the constant matrices of a linear device, its energy and its loss to the equations."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
     (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
-    into.M += into.stores(law, outputs) @ stored_slope @ inputs
+    into.M += into.find_store_rows(law, outputs) @ stored_slope @ inputs
     rated = dict(zip(law.charged, stored_slope[len(law.states) :] @ inputs, strict=True))
     for k, flow in enumerate(law.flows):
         rate = rated.get(k, 0.0 * inputs[0])
@@ -608,7 +622,7 @@ def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: n
 
 
 def _fit_quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
+    """Compute ``Q`` (n, n) and ``b`` (n,) of a quadratic function ``f(e) = e' Q e + b' e``."""
     item = np.array(list(map(f, np.eye(n))))
     sums = np.eye(n)[:, None] + np.eye(n)
     both = np.array(list(map(f, sums.reshape(n * n, n)))).reshape(n, n)

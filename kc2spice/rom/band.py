@@ -8,7 +8,7 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.quantities import quantity
-from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
@@ -84,7 +84,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
             inverse, T = eigh(M, K + MASSLESS_SHIFT * largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > ZERO_MASS * inverse[-1]][:, ::-1]
         return _rayleigh_quotients(K, M, X)[:count]
-    require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
+    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
     stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top
@@ -145,7 +145,7 @@ def _compute_all_rates(pencil: Pencil) -> np.ndarray:
 
 def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
-    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
     start = solve(pencil.B[:, 0])

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.free_body import find_free_body
@@ -91,7 +91,7 @@ def intermediate_model(
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
     if expects_cholesky(pencil):  # the check of the memory covered only a Cholesky factor
-        require_factors(pencil.bordered(1.0, 1.0, 1.0))
+        require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
     moderate = MAX_COMPLETE_STATES < states <= MAX_DENSE_STATES

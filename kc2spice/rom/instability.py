@@ -22,7 +22,7 @@ import scipy
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs, eigsh
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
@@ -69,7 +69,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
             return None  # with definite K, no other pole grows
-    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     if is_dissipative(pencil):
         return None
     rates = [2 * np.pi * band[1]] if band else []

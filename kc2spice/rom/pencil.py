@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.exact import ExactMatrix
+from kc2spice.linalg.extended_precision import ExactMatrix
 from kc2spice.linalg.factor import (
     QUASI_DEFINITE_UNKNOWNS,
     Factor,

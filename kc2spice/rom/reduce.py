@@ -22,8 +22,8 @@ from typing import get_args
 import numpy as np
 
 from kc2spice.core.errors import UsageError, name_part_in_errors, unknown
-from kc2spice.linalg.factor import require_factors
-from kc2spice.linalg.solver import DirectSolver, solving_with
+from kc2spice.linalg.factor import require_memory_for_factors
+from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
@@ -134,7 +134,7 @@ def reduce_model(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
     0.002000000 m/N
     """
-    with solving_with(solver):
+    with use_solver(solver):
         return reduce_to(fom, Target(tolerance, order, band, norm, contact, method))
 
 
@@ -222,7 +222,7 @@ def verified_first_step(
     target sets the limit.
     """
     # A stiffness that is found to be indefinite is checked again.
-    require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
+    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
         goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * MIN_TOLERANCE)

@@ -15,7 +15,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import quantity
-from kc2spice.linalg.solver import DirectSolver, solving_with
+from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import parse_band
 from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
@@ -197,7 +197,7 @@ def reduce(
                 hint="add tolerance=1e-4",
             )
         tolerance = quantity(tolerance, "", where="tolerance")
-        with solving_with(solver):
+        with use_solver(solver):
             return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
     hint = "build a model, such as kc.LinearModel(M=M, K=K, B=B)"
     if isinstance(model, (str, PurePath)):
@@ -309,7 +309,7 @@ class Reduction:
     def _prepare(self, target: Target) -> None:
         """Make the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
-        with solving_with(self._solver):
+        with use_solver(self._solver):
             self._intermediate, self._proof = verified_first_step(self._pencil, self.band, target)
         self._tolerance = target.tolerance
         self._task = Task.of(self.model, self._pencil, self._intermediate, self.band, self.norm)
@@ -415,7 +415,7 @@ class Reduction:
 
     def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
-        with solving_with(self._solver):
+        with use_solver(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
             )
@@ -425,7 +425,7 @@ class Reduction:
         if not self._is_within(tolerance):
             self._prepare(target)
         task = replace(self._task, tolerance=tolerance)
-        with solving_with(self._solver):
+        with use_solver(self._solver):
             return find_basis_within(task, list_methods(task, target), target)
 
     def _is_within(self, tolerance: float) -> bool:

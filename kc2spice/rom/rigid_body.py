@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import scipy
 
-from kc2spice.linalg.exact import ExactMatrix
+from kc2spice.linalg.extended_precision import ExactMatrix
 from kc2spice.rom.pencil import (
     Matrix,
     Pencil,

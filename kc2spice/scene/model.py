@@ -560,7 +560,7 @@ class Build:
     transient. ``records`` contains the properties of the parts by name
     (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` the quantities that netlist and
     probes read, and ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis.
-    ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised``
+    ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.get_scene_laws`). ``linearised``
     contains the eigenmodes of a transient at rest
     (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
     the latest run.

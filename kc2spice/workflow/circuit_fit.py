@@ -21,7 +21,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, Progress
 from kc2spice.equations.networks import Network
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.parts.bodies._box import VariedKey, values_of_part
 from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
@@ -107,9 +107,9 @@ def require_impedance(scene: Scene, part: str) -> None:
 def _find_network(scene: Scene, part: str) -> Network:
     """Return the network that contains the voltage and the current of the part."""
     kind = scene.part(part, where=part).type.name
-    laws = scene_laws(build_models(scene, Clock()))
+    laws = get_scene_laws(build_models(scene, Clock()))
     needed = {f"{part}.v", f"{part}.i"}
-    if part not in laws.missing and not needed <= laws.equations[part].results.keys():
+    if part not in laws.parts_without_law and not needed <= laws.equations[part].results.keys():
         raise UsageError(
             "this part has no impedance",
             where=part,
@@ -117,11 +117,11 @@ def _find_network(scene: Scene, part: str) -> Network:
             expected="a body with electrodes, or a part with the results v and i",
             hint="kc2spice explain SCENE lists the parts with their types",
         )
-    if laws.missing:
+    if laws.parts_without_law:
         raise UsageError(
             "parts of the scene have no equations, so that no response can be fitted",
             where=part,
-            got=", ".join(laws.missing),
+            got=", ".join(laws.parts_without_law),
             expected="parts with equations only",
             hint="replace these parts, such as a netlist, by resistors and sources",
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 from kc2spice.core.errors import unknown
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
-from kc2spice.linalg.solver import require_solver, solving_with
+from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import (
     deck_dialects,
@@ -58,7 +58,7 @@ def export_scene(
         message = "this dialect does not support an array of copies"
         raise unknown(message, dialect, known, "--dialect", advice="leave out --count")
     clock, selected = Clock(progress), require_solver(solver, "--solver")
-    with stage_directory(out) as work, solving_with(selected):
+    with stage_directory(out) as work, use_solver(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
         with clock.time_stage("export", "netlists and symbols"):

@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import Any
 
 from kc2spice.core.progress import Clock
-from kc2spice.equations.scene_laws import with_laws
+from kc2spice.equations.scene_laws import store_laws
 from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
@@ -53,7 +53,7 @@ def build_models(
 
 def _resolve_equations(build: Build) -> Build:
     """Return the build with the results and laws of its parts, and with linearised networks."""
-    return with_linearised_scene(with_laws(resolve_build(build)))
+    return with_linearised_scene(store_laws(resolve_build(build)))
 
 
 def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[str]) -> Build:

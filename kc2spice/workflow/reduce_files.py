@@ -30,7 +30,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progress
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import make_identifier
-from kc2spice.linalg.solver import require_solver, solving_with
+from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
@@ -173,7 +173,7 @@ def reduce_file(
         _refuse_options({"--power": power, "--network": network}, *_OF_TRANSIENT)
         return _reduce_measured(Path(path), out, dc, shunt, progress)
     _refuse_options({"--dc": dc, "--shunt": shunt, "--power": power}, *_OF_MEASUREMENT)
-    with solving_with(require_solver(solver, "--solver")):
+    with use_solver(require_solver(solver, "--solver")):
         return _reduce_matrices(path, out, band, tolerance, order, norm, method, form, progress)
 
 
@@ -540,9 +540,8 @@ def _write_reduced_model(
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
         reduced = make()
-        part = subcircuit(
-            reduced, make_identifier(name, "rom")
-        )  # a model without a circuit has no error estimate of a circuit
+        # a model without a circuit has no error estimate of a circuit
+        part = subcircuit(reduced, make_identifier(name, "rom"))
         if tolerance is not None:
             require_circuit(part, reduced, tolerance)
         files = write_rom(reduced, work, name)

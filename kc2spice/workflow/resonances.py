@@ -122,7 +122,10 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     Of a circuit without equations, only the poles of the reduced models are returned. A warning is
     printed if a circuit has no equations, is too large, or has no operating point.
     """
-    scene, causes = laws.build.scene, [f"{name} has no equations" for name in laws.missing]
+    scene, causes = (
+        laws.build.scene,
+        [f"{name} has no equations" for name in laws.parts_without_law],
+    )
     of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
     if scene.analysis.type != "ac":
         of = set()
@@ -137,7 +140,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
         amplitudes = np.array([source.ac for source in linear.system.sources])
         for name in of & network.results.keys():
             with suppress(SimulationError, UsageError, np.linalg.LinAlgError):
-                zeros[name] = linear.zeros(network.results[name], amplitudes)
+                zeros[name] = linear.find_zeros(network.results[name], amplitudes)
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
     if models and causes:
         warnings.warn(
@@ -146,7 +149,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
             stacklevel=2,
         )
         poles += [model.poles() for model in models]
-    if unknown := sorted(of if laws.missing else of - zeros.keys()):
+    if unknown := sorted(of if laws.parts_without_law else of - zeros.keys()):
         warnings.warn(
             f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
             f"because a part of the circuit has no equations; raise analysis.points",

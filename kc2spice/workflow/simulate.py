@@ -18,7 +18,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms, save_arrays, write_record
-from kc2spice.equations.scene_laws import SceneLaws, scene_laws
+from kc2spice.equations.scene_laws import SceneLaws, get_scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.powers import add_powers
 from kc2spice.report.html import flatten_mapping
@@ -155,7 +155,7 @@ def simulate_deck(
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
         return replace(result, checks=tuple(checks))
 
-    laws = scene_laws(build)
+    laws = get_scene_laws(build)
     engine = choose_engine(laws, deck, directory, progress, timeout)
     point = find_operating_point(build, deck, laws)
     write_files(deck.files, directory)  # this file is written even if the simulation fails
@@ -205,7 +205,7 @@ def run_simulation(
 
     Raises as :meth:`kc2spice.sim.engines.Engine.run` does.
     """
-    return choose_engine(scene_laws(build), deck, directory, progress, timeout).run(deck)
+    return choose_engine(get_scene_laws(build), deck, directory, progress, timeout).run(deck)
 
 
 def choose_engine(

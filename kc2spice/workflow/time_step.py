@@ -27,8 +27,8 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.laws import evaluate_combinations
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.networks import Network, law_of, list_pin_kinds
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
+from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import StepLimit, Vector
@@ -98,7 +98,7 @@ def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
     """
     kinds = set(list_pin_kinds(network.laws).values())
     heat = any(DOMAINS[kind].is_relaxing for kind in kinds)
-    return heat and not (motion.modes.quality > APERIODIC_Q).any()
+    return heat and not (motion.modes.q_factors > APERIODIC_Q).any()
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class LinearisedScene:
     def _joined_networks(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
         """Networks with unknowns, and names of the parts that are in no network."""
         try:
-            laws = scene_laws(self.build)
-            networks, missing = laws.networks, laws.missing
+            laws = get_scene_laws(self.build)
+            networks, missing = laws.networks, laws.parts_without_law
         except UsageError:
             return (), tuple(self.build.scene.parts)
         return tuple(item for item in networks if not item.has_sources_only), missing
@@ -180,7 +180,7 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
         linear = LinearisedSystem(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None
-    return linear.motion(tuple(source.wave for source in system.sources), stop)
+    return linear.solve_motion(tuple(source.wave for source in system.sources), stop)
 
 
 # --- rules of integration -------------------------------------------------------------------------
@@ -215,16 +215,16 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
     The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the wave itself is at most
     :data:`SHAPE_ERROR_LIMIT`, unless this limit requires :data:`MAX_SHAPE_POINTS` points or more.
     """
-    peaks = motion.peaks()
-    t = motion.samples(SAMPLE_COUNT)
+    peaks = motion.find_peak_amplitudes()
+    t = motion.choose_sample_times(SAMPLE_COUNT)
     outputs = np.arange(len(motion.linear.system.names))
     exact = motion.at(t, outputs)
-    real = np.abs(exact).max(axis=0) > motion.rounding()
+    real = np.abs(exact).max(axis=0) > motion.estimate_rounding()
     outputs, exact = outputs[real], exact[:, real]
     modes = motion.modes
     if not outputs.size:
         return start
-    resonant = modes.quality > RESONANT_Q
+    resonant = modes.q_factors > RESONANT_Q
 
     def is_accurate(h: float) -> bool:
         """Return whether the rule is accurate with the step ``h``."""
@@ -253,7 +253,7 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
     reasons = []
     if resonant.any():
         worst = int(np.argmax(np.where(resonant, observed * delay * lasting, -1.0)))
-        reasons.append(_describe_resonance(modes.rates[worst], modes.quality[worst]))
+        reasons.append(_describe_resonance(modes.rates[worst], modes.q_factors[worst]))
     reasons += [f"sine at {format_quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
 
@@ -327,7 +327,7 @@ def _compare_exact_motion(
     for network, motion in zip(linearised.networks, linearised.motions, strict=True):
         if _has_unmodelled_neighbour(build, network, linearised.missing):
             continue
-        if motion is not None and motion.linear.exact and motion.moves:
+        if motion is not None and motion.linear.exact and motion.is_moving:
             worst = max(worst, _largest_deviation(network, motion, waves, build.results.vectors))
             exact |= network.names
     return worst, exact
@@ -344,7 +344,7 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
 
 def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
     """Return whether a part without equations is joined to this network."""
-    parts, scene = set(map(law_of, network.names)), build.scene
+    parts, scene = set(map(get_law_name, network.names)), build.scene
     for name, pin in scene.nets:
         if name in parts and not set(missing).isdisjoint(dict(scene.joined(name, pin))):
             return True
@@ -365,7 +365,7 @@ def _largest_deviation(
     pick = pick[np.abs(time[pick] - neighbours).min(axis=0) > EVENT_MARGIN * motion.stop]
     at, names = time[pick], motion.linear.system.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
-    rounding = dict(zip(names, motion.rounding(), strict=True))
+    rounding = dict(zip(names, motion.estimate_rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
     largest: dict[str, float] = {}
     for name, true in evaluate_combinations(network.results, exact, at).items():

@@ -59,6 +59,6 @@ def test_coil_is_pushed_back() -> None:
 
     of_sphere = basis.interpolate(fields[: basis.N, SPHERE])
     on_coil = lorentz.assemble(basis, a=of_sphere)
-    c1 = 2 * system.force(fields)[SPHERE, LOWER]
+    c1 = 2 * system.compute_force_matrix(fields)[SPHERE, LOWER]
     assert abs(c1) > 0.1
     assert on_coil == pytest.approx(-c1, rel=1e-4)

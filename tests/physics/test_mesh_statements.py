@@ -11,7 +11,7 @@ from support import (
     Clock,
     Damping,
     Header,
-    Ladder,
+    LoopModel,
     Ring,
     TransverselyIsotropicSphere,
     build_models,
@@ -157,7 +157,7 @@ def test_a_conductor_states_its_rings():
     assert errors["conductor.rings"] == facts["mesh_error_rings"]
     assert errors["conductor.tolerance"] is None
     part = build.scene.parts["conductor"]
-    found, keys = build.model(part, Ladder), part.keys
+    found, keys = build.model(part, LoopModel), part.keys
     fixed = [
         s for m in keys.magnets.values() for s in moving_conductor.surface_currents(m, m.remanence)
     ]

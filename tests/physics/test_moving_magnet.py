@@ -7,7 +7,7 @@ import pytest
 from closed_forms import MU_0, circles
 from scipy.integrate import quad, solve_ivp
 from scipy.special import j1
-from support import UsageError, Winding, current_loop, demagnetising_factor
+from support import UsageError, Winding, demagnetising_factor, make_current_loop
 
 import kc2spice as kc
 
@@ -40,7 +40,7 @@ def pull(y: float) -> float:
 
 def forces(low: float, high: float, *heights: float) -> np.ndarray:
     """Force [N] per ampere from the slopes of the power series."""
-    found = current_loop([SHEET], [COIL], [], low, high, 1e-7)
+    found = make_current_loop([SHEET], [COIL], [], low, high, 1e-7)
     series = np.polynomial.Polynomial(found.couplings[0, 0]).deriv()
     place = (2 * np.array(heights) - low - high) / (high - low)
     return 2 / (high - low) * series(place)

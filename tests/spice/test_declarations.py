@@ -186,7 +186,7 @@ def inputs(own, state, rates, drops):
     return np.array(rows).T
 
 
-def law_of(name, **keys):
+def get_law_name(name, **keys):
     scene, part = example(name)
     part = replace(part, keys=part.keys.model_copy(update=keys))
     (found,) = part.type.law(part, Build(scene, {})).laws
@@ -196,7 +196,7 @@ def law_of(name, **keys):
 def worst_law(name, **keys):
     """Largest relative difference of a part's law from what it states, and of its powers from each
     other."""
-    own, (stated_, found) = law_of(name, **keys), states(name)
+    own, (stated_, found) = get_law_name(name, **keys), states(name)
     errors, powers = [], []
     for state, rates in found:
         drops = {b.name: stated_.answer(b, state, rates) for b in stated_.d.branches
@@ -228,7 +228,7 @@ def worst_law(name, **keys):
 
 def worst_slope(name):
     """Largest relative difference of a law's Jacobians from complex steps of its functions."""
-    own, (stated_, found) = law_of(name), states(name)
+    own, (stated_, found) = get_law_name(name), states(name)
     errors = []
     for state, rates in found:
         drops = {b.name: 1.0 for b in stated_.d.branches}

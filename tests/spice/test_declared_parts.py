@@ -16,12 +16,12 @@ from support import (
     branch,
     dialect_names,
     displacement,
+    get_scene_laws,
     list_checks,
     load_scene,
     measured,
     parttype,
     resolve_build,
-    scene_laws,
     solve_laws,
     solve_transient,
     subcircuit_items,
@@ -94,7 +94,7 @@ def test_a_charge_behind_ideal_sources_flows_as_it_changes():
 def test_a_coil_in_motion_takes_few_steps():
     """The flux depends on the stroke: an error estimate by its slope at an earlier step sees an
     error that no shorter step makes smaller, and needs tens of thousands of them for this."""
-    (network,) = scene_laws(Build(load_scene("loudspeaker"), {})).networks
+    (network,) = get_scene_laws(Build(load_scene("loudspeaker"), {})).networks
     assert (
         solve_transient(assemble_system(network.laws, network.joins), 5e-3, 1e-9).time.size < 2000
     )

@@ -14,10 +14,10 @@ from scipy.optimize import brentq
 from support import (
     Junction,
     assemble_system,
+    get_scene_laws,
     integrate_steps,
     linear_waveform,
     load_scene,
-    scene_laws,
     solve_operating_point,
     solve_transient,
 )
@@ -197,7 +197,7 @@ def test_a_bridge_floats_where_all_its_diodes_block(tmp_path):
 
 def test_a_bridge_conserves_energy():
     scene = {"name": "bridge", **BRIDGE, "analysis": {"type": "transient", "stop": 1e-4}}
-    (network,) = scene_laws(built(load_scene(scene), others=True)).networks
+    (network,) = get_scene_laws(built(load_scene(scene), others=True)).networks
     run = solve_transient(assemble_system(network.laws, network.joins), 1e-4, 1e-9)
     assert abs(run.energy.residual) < 1e-9 * run.energy.turnover
 
@@ -206,7 +206,7 @@ def test_a_step_of_equal_length_crosses_an_edge():
     """Within one step the source jumps to 100 V: Newton's method limits the junction's voltage."""
     pulse = {"high": 100.0, "width": 1e-5, "edge": 1e-9, "start": 1e-6}
     scene = driven({"pulse": pulse}, 100.0, {"type": "transient", "stop": 1e-5})
-    (network,) = scene_laws(built(load_scene(scene), others=True)).networks
+    (network,) = get_scene_laws(built(load_scene(scene), others=True)).networks
     steps = integrate_steps(assemble_system(network.laws, network.joins), 0.0, 1e-7, 50)
     v = brentq(lambda v: (100 - v) / 100.568 - current(v), 0.0, 2.0)
     assert steps.waves["d.inner"][-1] == pytest.approx(v, rel=1e-3)

@@ -13,9 +13,9 @@ from support import (
     PwmDrive,
     assemble_system,
     find_replayed_nets,
+    get_scene_laws,
     linear_waveform,
     load_scene,
-    scene_laws,
     solve_transient,
 )
 from support import laws as L
@@ -243,15 +243,15 @@ def test_leaks_of_a_charge_drive_keep_its_operating_point(tmp_path):
 def test_a_source_replaces_an_unknown_driver_beside_coils(model, table):
     """A user's netlist kicks a body; the driver of the coils has equations."""
     scene = load_scene("bring_your_own", {"catch.driver.linear.rail": 48.0})
-    laws = scene_laws(built(scene, model, table))
-    assert laws.missing == ("kick_driver",)
+    laws = get_scene_laws(built(scene, model, table))
+    assert laws.parts_without_law == ("kick_driver",)
     assert find_replayed_nets(laws) == {"kick_anode": "electrical"}
 
 
 def test_a_controller_commands_a_driver_by_its_law(model, table):
     """The sphere passes the set point at 10 mm/s: ``100 Ohm (kp e + ki int e dt + kd de/dt)``."""
-    laws = scene_laws(built(load_scene("coil_rails"), model, table))
-    assert laws.missing == ()
+    laws = get_scene_laws(built(load_scene("coil_rails"), model, table))
+    assert laws.parts_without_law == ()
     law, keys = laws.laws["control"], laws.build.scene.parts["control"].keys
     setpoint = law.values[law.declaration.parameters.index("setpoint")]
     speed, stop, on = 0.01, 4e-3, 1e-6

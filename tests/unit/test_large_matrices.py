@@ -66,7 +66,7 @@ def test_kernels_follow_the_processor_and_the_user(monkeypatch):
     assert processor.select_kernels(skylake) == "SkylakeX"
     assert processor.select_kernels(skylake - {"avx512vl"}) == "Haswell"
     assert processor.select_kernels({"sse2"}) is None
-    monkeypatch.setattr(processor, "processor_flags", lambda: skylake)
+    monkeypatch.setattr(processor, "read_processor_flags", lambda: skylake)
     with processor.use_fast_kernels():
         assert os.environ[processor.CORE_TYPE_VARIABLE] == "SkylakeX"
     assert processor.CORE_TYPE_VARIABLE not in os.environ

@@ -280,13 +280,13 @@ def cube(n):
 
 def test_a_large_definite_model_has_one_order_and_one_expansion_point(monkeypatch):
     """The order of elimination of K serves the proof that M is semidefinite."""
-    count, search = [0], factor._nested_dissection
+    count, search = [0], factor._order_by_dissection
 
     def counted(matrix):
         count[0] += 1
         return search(matrix)
 
-    monkeypatch.setattr(factor, "_nested_dissection", counted)
+    monkeypatch.setattr(factor, "_order_by_dissection", counted)
     model = cube(18)
     assert model.order > factor.DISSECTION_UNKNOWNS
     reduction = kc.Reduction(model, band=(0, 0.08), tolerance=1e-3, norm="pointwise")

@@ -6,7 +6,15 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
-from support import Build, Clock, build_models, ignore_progress, load_scene, scene_laws, with_laws
+from support import (
+    Build,
+    Clock,
+    build_models,
+    get_scene_laws,
+    ignore_progress,
+    load_scene,
+    store_laws,
+)
 
 import kc2spice as kc
 
@@ -42,24 +50,24 @@ def test_a_run_calls_the_law_of_each_part_once(analysis, monkeypatch):
 
 def test_a_build_carries_its_laws():
     build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
-    assert scene_laws(build) is build.laws is scene_laws(build)
-    assert scene_laws(build).networks is scene_laws(build).networks
+    assert get_scene_laws(build) is build.laws is get_scene_laws(build)
+    assert get_scene_laws(build).networks is get_scene_laws(build).networks
 
 
 def test_laws_of_other_keys_or_models_are_made_again():
     build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
     other = load_scene(LOW_PASS, {"r.resistance": "2 kOhm"})
-    changed = scene_laws(replace(build, scene=other))
+    changed = get_scene_laws(replace(build, scene=other))
     assert changed.build.scene is other
-    assert changed is not scene_laws(build)
-    assert scene_laws(replace(build, models=dict(build.models))) is not scene_laws(build)
+    assert changed is not get_scene_laws(build)
+    assert get_scene_laws(replace(build, models=dict(build.models))) is not get_scene_laws(build)
 
 
 def test_networks_share_nothing_but_ground():
     two = {k: v for k, v in LOW_PASS.items() if k not in ("name", "analysis")}
     twin = {f"{k}_2": v for k, v in two.items()}
     twin["r_2"] = twin["r_2"] | {"pins": {"a": "drive_2.out", "b": "c_2.a"}}
-    laws = with_laws(Build(load_scene({**LOW_PASS, **twin}), {})).laws
+    laws = store_laws(Build(load_scene({**LOW_PASS, **twin}), {})).laws
     names = [sorted(network.names) for network in laws.networks]
     assert names == [["c", "drive", "r"], ["c_2", "drive_2", "r_2"]]
     assert not any(network.has_sources_only for network in laws.networks)

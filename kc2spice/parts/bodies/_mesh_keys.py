@@ -118,7 +118,7 @@ def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[U
         path = mesh_path(part, scene)
         mesh_file.require_format(path)
         if path.is_file():
-            mesh_file.length_unit(path, part.keys.unit)
+            mesh_file.find_length_unit(path, part.keys.unit)
     except UsageError as error:
         if error.where == "unit":
             error.where = f"{part.name}.unit"
@@ -135,7 +135,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
     UsageError : a file cannot be read, or a group is empty.
     """
     path = locate_file_in_folder(home, str(keys.mesh), "mesh")
-    unit = mesh_file.length_unit(path, keys.unit)
+    unit = mesh_file.find_length_unit(path, keys.unit)
     return mesh_file.read_mesh(
         path,
         unit=unit,

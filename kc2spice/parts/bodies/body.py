@@ -46,7 +46,13 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.element_poling import PolingTable, compute_centres, find_parents, read_poling
-from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, material, poling_rotation
+from kc2spice.fem.materials import (
+    CylindricalAxes,
+    ElementAxes,
+    Material,
+    compute_poling_rotation,
+    material,
+)
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
@@ -421,12 +427,12 @@ def _read_polings(
         file_mesh = read_groups(keys, home, 0)
         numbers = file_mesh.numbers[find_parents(file_mesh.mesh, groups.mesh)]
     result = {}
-    unit = mesh_file.length_unit(locate_file_in_folder(home, keys.mesh, "mesh"), keys.unit)
+    unit = mesh_file.find_length_unit(locate_file_in_folder(home, keys.mesh, "mesh"), keys.unit)
     for group, table in tables.items():
         members = groups.group(group, f"materials.{group}", 0).members
         rows = table.select_rows(numbers, compute_centres(groups.mesh) / unit, members)
         rotations = np.tile(np.eye(3), (groups.mesh.nelements, 1, 1))
-        rotations[members] = np.array([*map(poling_rotation, table.directions)])[rows]
+        rotations[members] = np.array([*map(compute_poling_rotation, table.directions)])[rows]
         result[group] = ElementAxes(rotations)
     return result
 
@@ -657,7 +663,9 @@ class Body(MeshedBody[BodyKeys]):
         def size() -> list[float]:
             with name_part_in_errors(part.name):
                 path = mesh_path(part, scene)
-                sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.measure_extent(path)
+                sides = mesh_file.find_length_unit(path, part.keys.unit) * mesh_file.measure_extent(
+                    path
+                )
             return list(map(float, sides))
 
         key = {"file": hash_file(mesh_path(part, scene)), "unit": part.keys.unit}

@@ -36,8 +36,8 @@ from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import (
-    Cells,
-    Ladder,
+    LoopModel,
+    RingCells,
     Winding,
     compare_rings,
     divide_section,
@@ -205,7 +205,7 @@ def _declare(
     )
 
 
-def declare(part: Part[Moving], model: Ladder) -> Declaration:
+def declare(part: Part[Moving], model: LoopModel) -> Declaration:
     """Declare the coenergy ``i' L i / 2`` and the losses.
 
     The couplings are power series of the height. The couplings of a magnet, which has no loops,
@@ -259,7 +259,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
         """Return the declaration after the model is built."""
-        return declare(part, build.model(part, Ladder))
+        return declare(part, build.model(part, LoopModel))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -320,7 +320,9 @@ class MovingBody(DeclaredPart[MovingT]):
 
     # --- model ------------------------------------------------------------------------------------
 
-    def build(self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False) -> Ladder:
+    def build(
+        self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False
+    ) -> LoopModel:
         """Build the loops and couplings of the body.
 
         The ``full`` model has more loops and rings, which resolve twice the highest frequency, and
@@ -334,7 +336,7 @@ class MovingBody(DeclaredPart[MovingT]):
                 frequency, highest_frequency(scene, _shortest_lag(part, scene))
             )
 
-        def build() -> Ladder:
+        def build() -> LoopModel:
             """Return the model of the part."""
             fixed = []
             for magnet in keys.magnets.values():
@@ -349,7 +351,7 @@ class MovingBody(DeclaredPart[MovingT]):
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
-            return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
+            return load_or_build(self.name, key, build, classes=(LoopModel,), sources=sources)
         except UsageError as error:  # The error of the rings depends on the range of heights.
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
@@ -369,7 +371,7 @@ class MovingBody(DeclaredPart[MovingT]):
         self, part: Part[MovingT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks of a run."""
-        result = build.model(part, Ladder)
+        result = build.model(part, LoopModel)
         loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
         if loops:
@@ -406,12 +408,12 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
         """Return the description of the error estimate of the mesh."""
-        return _ring_error(build.model(part, Ladder)) or f"no mesh: {CIRCLE_METHOD}"
+        return _ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
     def field(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
-    ) -> Ladder:
+    ) -> LoopModel:
         """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
 
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
@@ -423,8 +425,8 @@ class MovingBody(DeclaredPart[MovingT]):
         return 0.0
 
     def add_ring_error(
-        self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int
-    ) -> Ladder:
+        self, ladder: LoopModel, keys: MovingT, fixed: list[Winding], rings: int
+    ) -> LoopModel:
         """Return the loops with an error estimate for the division into rings."""
         return ladder
 
@@ -470,15 +472,15 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         tolerance: float,
         rings: int,
         frequency: float,
-    ) -> Ladder:
+    ) -> LoopModel:
         """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
         body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)
 
     def add_ring_error(
-        self, ladder: Ladder, keys: MovingConductorKeys, fixed: list[Winding], rings: int
-    ) -> Ladder:
+        self, ladder: LoopModel, keys: MovingConductorKeys, fixed: list[Winding], rings: int
+    ) -> LoopModel:
         """Return the loops with the error estimate of their rings.
 
         The error is proportional to the square of the ring size, and so to the reciprocal of the
@@ -509,7 +511,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
 
 
-def _ring_error(model: Ladder) -> str:
+def _ring_error(model: LoopModel) -> str:
     """Return the error estimate of the division into rings as text; empty without rings."""
     errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
@@ -540,7 +542,7 @@ def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
-def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
+def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> RingCells:
     """Divide the body into rings that resolve the skin depth at a frequency [Hz]."""
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Ratio, RefinementRule, Section
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Ladder, Winding, current_loop
+from kc2spice.fem.magnet_rings import LoopModel, Winding, make_current_loop
 from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, surface_currents, windings
 from kc2spice.scene.model import (
     Part,
@@ -109,12 +109,12 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         tolerance: float,
         rings: int,
         frequency: float,
-    ) -> Ladder:
+    ) -> LoopModel:
         """Return the couplings of the coils with the magnet."""
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
-        return current_loop(
+        return make_current_loop(
             surface_currents(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )
 

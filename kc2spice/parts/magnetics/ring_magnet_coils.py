@@ -505,9 +505,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         remedy = f"lower {part.name}.y_min to {_format_end(y.min())}"
         if y.max() - table.y[-1] >= table.y[0] - y.min():
             remedy = f"raise {part.name}.y_max to {_format_end(y.max())}"
-        from kc2spice.fem.magnet_field import air_section
+        from kc2spice.fem.magnet_field import get_air_section
 
-        _, floor, _, ceiling = air_section(part.keys)
+        _, floor, _, ceiling = get_air_section(part.keys)
         if y.max() > ceiling or y.min() < floor:
             remedy = _advise_less_energy(build.scene, y, table)
         advice = f"the sphere left the field table: {remedy}"

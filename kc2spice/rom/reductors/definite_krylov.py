@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from kc2spice.core.progress import ConvergenceTimer
-from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.free_body import FreeBody
 from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
@@ -116,7 +116,7 @@ def definite_krylov_model(
         worst = float(frequency[np.argmax(np.where(distant, size.max(axis=(1, 2)), -1.0))])
         used.append(worst)
         blocks = BLOCKS_AT_SHIFT - 1
-        require_factors(pencil.bordered(1.0, 1.0, 1.0))
+        require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
         solve = pencil.pencil_solver((2 * np.pi * worst) ** 2).solve
         candidates = solve(pencil.B)
     raise no_convergence_error(response, band, change, limit)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.linalg.exact import RefinedSolver
+from kc2spice.linalg.extended_precision import RefinedSolver
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel

@@ -17,7 +17,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import select_networks_to_solve
-from kc2spice.equations.scene_laws import scene_laws, with_laws
+from kc2spice.equations.scene_laws import get_scene_laws, store_laws
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.surrogate import make_surrogate
 from kc2spice.scene.model import Build
@@ -66,7 +66,7 @@ def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build
 
 def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
     """Return a build in which ``models`` replace the models of parts."""
-    return with_laws(replace(build, models={**build.models, **models}))
+    return store_laws(replace(build, models={**build.models, **models}))
 
 
 def _sparse_full_model(model: LinearModel) -> LinearModel:
@@ -99,7 +99,7 @@ def solve_full_models(
     ------
     SimulationError : there is no equilibrium, or a step does not converge.
     """
-    networks = select_networks_to_solve(scene_laws(full), ours, replayed)
+    networks = select_networks_to_solve(get_scene_laws(full), ours, replayed)
     if build.scene.analysis.type != "transient":
         words = "at its ports"
         if build.scene.analysis.is_small_signal:

@@ -13,9 +13,9 @@ import numpy as np
 
 from kc2spice.core.laws import evaluate_combinations, scaled_wave
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.networks import Network, law_of
+from kc2spice.equations.networks import Network, get_law_name
 from kc2spice.equations.replay import select_networks_to_solve
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.reference import equilibrium
 from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
@@ -58,7 +58,7 @@ def solve_laws(
     UsageError : the laws contradict each other.
     SimulationError : there is no equilibrium, or a law is outside its valid range.
     """
-    networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
+    networks = select_networks_to_solve(get_scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":
         return Reference(solve_steady(networks, build, waves))
     stop = build.scene.stop
@@ -96,11 +96,11 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
 def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
     """Return the noise density of the output; empty if the output is not in this network."""
     name = str(build.scene.analysis.output)
-    law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in scene_laws(build).links}
+    law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in get_scene_laws(build).links}
     output = network.results.get(name)
     if output is None and name in law_pins:
         output = scaled_wave(law_pins[name])
-    if output is None or output.rate or law_of(output.terms[0][1]) not in network.names:
+    if output is None or output.rate or get_law_name(output.terms[0][1]) not in network.names:
         return {}
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 

@@ -23,7 +23,7 @@ from kc2spice.core.memory import available_bytes
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
-from kc2spice.equations.scene_laws import scene_laws
+from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import FlatCircuit, read_checked_circuit
 from kc2spice.netlist.library import Subcircuit, parse_subcircuits
@@ -201,8 +201,8 @@ class _Verification:
                     result.checks.append(row)
                 else:
                     result.notes.append(row)
-        laws = scene_laws(build)
-        result.left_out = laws.missing
+        laws = get_scene_laws(build)
+        result.left_out = laws.parts_without_law
         replayed = find_replayed_nets(laws) if result.left_out and self.timed else None
         if result.left_out:
             rows = map(self._explain_missing_law, result.left_out)
@@ -231,7 +231,7 @@ class _Verification:
 
     def _explain_missing_law(self, name: str) -> str:
         """Return the name of a part without equations, and the reason if the part states one."""
-        reason = scene_laws(self.build).reasons[name]
+        reason = get_scene_laws(self.build).reasons_without_law[name]
         return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:

@@ -18,16 +18,16 @@ from kc2spice.core.errors import SimulationError
 
 SLICE_COUNT = 4  # number of slices with about 21 bits each
 MAX_REFINEMENTS = 5
-# relative corrections: below the first limit, the next correction is rounding error; above the
-# second, no digit is correct
+# Limits of the relative correction in a refinement step: below the first limit, the next correction
+# is only rounding error; above the second limit, no digit of the solution is correct.
 CONVERGED_CORRECTION = 1e-8
 DIVERGED_CORRECTION = 1e-3
 
 
 class ExactMatrix:
-    """Real matrix whose products are accurate to 18 digits of their largest terms.
+    """Real matrix whose products have errors of about 1e-18 of their largest term.
 
-    Cancellation of terms does not reduce this accuracy.
+    The errors are not larger if the terms of a product cancel.
     """
 
     def __init__(self, matrix: np.ndarray) -> None:
@@ -52,8 +52,8 @@ class ExactMatrix:
 def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
     """Split a matrix into slices of few bits, whose products are exact.
 
-    The bits are those below the largest entry of each column. Sums of products of two parts are
-    exact in double precision.
+    Each slice contains the next ``bits`` bits below the largest entry of each column. The product
+    of two slices is exact in double precision.
     """
     for _ in range(SLICE_COUNT):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)
@@ -66,7 +66,7 @@ def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
 
 
 class RefinedSolver:
-    """Solver for ``A + s E`` at any s with iterative refinement to full accuracy."""
+    """Solver of ``(A + s E) x = b`` for any s, with iterative refinement to full accuracy."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
@@ -103,7 +103,7 @@ class RefinedSolver:
 
 
 def _make_singular_error(s: complex) -> SimulationError:
-    """Return the error of a value s at a pole."""
+    """Return the error for a value of s that is a pole."""
     return SimulationError(
         "the matrix of the equations cannot be factorised",
         where="direct solver",
