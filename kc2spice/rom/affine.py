@@ -1,9 +1,9 @@
-"""Models whose matrices are sums with factors that depend on parameters.
+"""Models whose matrices are sums of terms with factors that depend on parameters.
 
-A matrix is ``M(p) = sum_i f_i(p) M_i``. The terms M_i come from another program and the factors are
-functions of the parameters. The result of the reduction is a
-:class:`kc2spice.rom.ranges.ModelOverRanges`, as for a body of a scene whose keys are parameters of
-its netlist.
+A matrix is ``M(p) = sum_i f_i(p) M_i``. The matrices M_i come from another program, and the factors
+are functions of the parameters. The result of the reduction is a
+:class:`kc2spice.rom.ranges.ModelOverRanges`. A body of a scene whose keys are parameters of its
+netlist has the same class.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from kc2spice.rom.reduce import Target, choose_band, require_valid
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.varying import reduce_over_ranges
 
-PARAMETRIC_MATRICES = "MKE"  # matrices that may depend on parameters; E of heat models alone
+PARAMETRIC_MATRICES = "MKE"  # matrices that may depend on parameters; E only in heat models
 Factor = Callable[[Values], float]
 
 
@@ -38,7 +38,7 @@ class ModelParameter:
 
     Raises
     ------
-    UsageError : a range that contains zero or a single number, or a default outside of the range.
+    UsageError : the range contains zero or is a single number, or the default is outside of it.
 
     Examples
     --------
@@ -75,9 +75,10 @@ class ModelParameter:
 
 @dataclass(frozen=True, eq=False)
 class AffineTerm:
-    """Term ``factor(p) matrix`` of the matrix ``letter``: M or K, of heat models E or K.
+    """Term ``factor(p) matrix`` of a matrix of the model.
 
-    ``description`` is the text of the factor in errors.
+    ``letter`` is the name of the matrix of the model: M or K; in a heat model E or K.
+    ``description`` is the text of the factor in error messages.
     """
 
     letter: str
@@ -93,7 +94,7 @@ class AffineTerm:
         object.__setattr__(self, "matrix", scipy.sparse.csc_array(self.matrix))
 
     def at(self, values: Values) -> Matrix:
-        """The term at values of the parameters.
+        """Return the term for values of the parameters.
 
         Raises
         ------
@@ -118,9 +119,9 @@ class AffineTerm:
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
-    """Model with matrices that depend on parameters: M and K, of heat models E and K.
+    """Model whose matrices M and K depend on parameters; in a heat model E and K.
 
-    ``K(p) = K + sum f_i(p) K_i``, and M or E likewise.
+    The stiffness is ``K(p) = K + sum f_i(p) K_i``. M and E have the same form.
 
     Parameters
     ----------
@@ -128,20 +129,22 @@ class AffineModel:
         Constant parts of all matrices, ports and damping. Damping is proportional to mass and
         stiffness (``rayleigh``), or absent. All ports of a heat model are thermal.
     terms : sequence of tuples
-        Letter ``"K"``, ``"M"`` or ``"E"``, matrix (n, n), and a function of the mapping of all
-        parameters. The matrices of heat models are sums with powers -1, 0 and 1 of parameters.
+        Letter ``"K"``, ``"M"`` or ``"E"``, a matrix (n, n), and its factor: a function of a mapping
+        that contains the values of all parameters. In heat models, each factor is a product of
+        parameters with the powers -1, 0 or 1.
     parameters : sequence of ModelParameter
         One to four parameters with their ranges.
     assemble : callable, optional
-        Function of the values of the parameters that returns the model, instead of ``terms``.
+        Function that returns the model for values of the parameters; replaces ``terms``.
 
     Raises
     ------
-    UsageError : no parameter or more than four, equal names, or a matrix of another size.
+    UsageError : there are no parameters or more than four, two have the same name, or the matrices
+        differ in size.
 
     Examples
     --------
-    A spring of 100 N/m with a second one of k in parallel carries 10 g.
+    A spring of 100 N/m in parallel with a spring of stiffness k carries a mass of 10 g.
 
     >>> import kc2spice as kc
     >>> tip = kc.Port("tip", "mechanical")
@@ -197,7 +200,7 @@ class AffineModel:
 
     @property
     def conducts_heat(self) -> bool:
-        """Whether it is a heat model, ``E T' + K T = B q``."""
+        """Whether the model is a heat model, ``E T' + K T = B q``."""
         return self.model.first_order and all(p.domain is THERMAL for p in self.model.ports)
 
     @property
@@ -212,15 +215,17 @@ class AffineModel:
 
     @property
     def defaults(self) -> dict[str, float]:
-        """Default of each parameter by its name."""
+        """Default values of the parameters, keyed by name."""
         return {item.name: item.default for item in self.parameters}
 
     def at(self, values: Values) -> LinearModel:
-        """The full-order model at values of the parameters; others have their defaults.
+        """Return the full-order model for values of the parameters.
+
+        Parameters that ``values`` does not contain have their defaults.
 
         Raises
         ------
-        UsageError : an unknown parameter, or a factor that is not a number.
+        UsageError : a parameter is unknown, or a factor is not a number.
         """
         for name in values:
             if name not in self.defaults:
@@ -243,11 +248,13 @@ class AffineModel:
 def sum_affine_terms(
     constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
 ) -> dict[str, Matrix]:
-    """Add the terms at values of the parameters to constant matrices by letter.
+    """Add the terms for values of the parameters to the constant matrices.
+
+    The matrices are keyed by their letters.
 
     Raises
     ------
-    UsageError : a term of another size, or a factor that is not a number.
+    UsageError : a term has another size than its matrix, or a factor is not a number.
     """
     result = dict(constant)
     for term in terms:
@@ -285,7 +292,7 @@ def reduce_affine(
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     progress : callable, optional
-        Called with the number of full-order models that were solved, and of all models.
+        Called with the number of full-order models that are solved, and the number of all models.
 
     Returns
     -------
@@ -294,8 +301,8 @@ def reduce_affine(
 
     Raises
     ------
-    UsageError : signal ports, general or structural damping, a matrix that is not positive definite
-        somewhere in the ranges, or a port that moves the body without stiffness.
+    UsageError : the model has signal ports, damping that is not proportional, a matrix that is not
+        positive definite somewhere in the ranges, or a port that moves the body without stiffness.
     SimulationError : the tolerance is not met.
     """
     middle = {axis.name: axis.middle for axis in affine.axes}
@@ -325,7 +332,7 @@ def reduce_affine(
 
 
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
-    """Check M and K at values of the parameters before the long work."""
+    """Check that M and K are semidefinite for values of the parameters, before the reduction."""
     model = affine.at(values)
     stiffness, *others = model.pencil.coefficients
     for letter, matrix in zip("K" + affine.letters[0], (stiffness, others[-1]), strict=True):
@@ -349,7 +356,7 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
-    """Reduce heat models over the ranges of a task, with heat flows as inputs of all ports."""
+    """Reduce heat models over the ranges of a task; the input of each port is a heat flow."""
     from kc2spice.rom.heat_ranges import HeatReduction  # models of other kinds need no import
 
     return HeatReduction(task.full, task.axes).reduce(task)
@@ -361,11 +368,11 @@ def _keep_damping(model: LinearModel) -> LinearModel:
 
 
 def _proportional(model: LinearModel) -> LinearModel:
-    """Return a model without damping as a model with proportional damping of zero.
+    """Return the model with proportional damping; a model without damping gets the factors zero.
 
     Raises
     ------
-    UsageError : damping of another form.
+    UsageError : the damping is not proportional.
     """
     if model.structural:
         raise UsageError(

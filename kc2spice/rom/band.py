@@ -1,4 +1,4 @@
-"""Frequency band of a reduction: prescribed, or from the lowest natural frequencies."""
+"""Frequency band of a reduction: prescribed, or computed from the lowest natural frequencies."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 BAND_MODES = 5
-MAX_DENSE_EQUATIONS = 200  # equations up to which all poles are computed
+MAX_DENSE_EQUATIONS = 200  # largest number of equations of which all poles are computed
 BAND_MARGIN = 1.1  # ratio of the end of the band to the frequency of its last mode
 MASSLESS_SHIFT = 1e-6  # shift for models with massless unknowns, relative to the largest rate
-RIGID_SHIFT = 1e-9  # relative shift if a Lanczos method separates elastic from rigid-body modes
-ZERO_MASS = 1e-13  # mass that counts as zero, relative to the largest
+RIGID_SHIFT = 1e-9  # relative shift with which the Lanczos method separates rigid-body modes
+ZERO_MASS = 1e-13  # largest mass that counts as zero, relative to the largest mass
 RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
-EIGENVALUE_TOLERANCE = 1e-9  # relative error of eigenvalues of the shifted inverse
+EIGENVALUE_TOLERANCE = 1e-9  # relative error of the eigenvalues of the inverse of ``K + shift M``
 
 
 def natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
-    The band ends a little above the undamped natural frequency (second order) or corner frequency
-    (first order) of the full model. Rigid-body modes do not count.
+    The band ends a little above this frequency of the full model: an undamped natural frequency of
+    a second-order model, or a corner frequency of a first-order model. Rigid-body modes do not
+    count.
 
     Raises
     ------
@@ -68,11 +69,12 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
 def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
-    The model is symmetric and of second order. Rigid-body modes do not count. The result contains
-    all modes if the model has fewer than ``count``.
+    The model is symmetric and of second order. Rigid-body modes do not count. If the model has
+    fewer than ``count`` modes, the result contains all modes.
 
-    Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
-    ``x'Kx`` is within the rounding error of the entries of K is a rigid-body mode.
+    The eigenvalues are computed with ``K + sigma M`` and a small sigma > 0, because K of an
+    unsupported body is singular. A mode whose energy ``x'Kx`` is within the rounding error of the
+    entries of K is a rigid-body mode.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.size <= MAX_DENSE_EQUATIONS:
@@ -105,7 +107,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
 
 
 def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
-    """Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes, in ascending order."""
+    """Return the Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes in ascending order."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
     noise = (
@@ -144,7 +146,7 @@ def _compute_all_rates(pencil: Pencil) -> np.ndarray:
 
 
 def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
-    """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
+    """Return the lowest rates: reciprocal eigenvalues of ``P(0)^-1`` times the inertia matrix."""
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
@@ -162,7 +164,7 @@ def parse_band(
 
     Raises
     ------
-    UsageError : not two frequencies.
+    UsageError : the band does not consist of two frequencies.
     """
     if band is None:
         return None

@@ -1,10 +1,11 @@
-"""State spaces in other coordinates: decoupled real blocks.
+"""Transformation of state spaces to decoupled real blocks.
 
-A real pole is one block, and a complex pair is one 2 x 2 block. Repeated poles, poles whose
-separation would lose accuracy, and defective poles remain in one larger block. Source: Bavely and
-Stewart, SIAM J. Numer. Anal. 16 (1979) 359: Sylvester equations decouple clusters of poles in the
-real Schur form, as long as the size of their solution is limited. The bound is raised as long as
-the response keeps its accuracy, because a netlist grows with the square of the size of a block.
+A real pole is one block, and a complex pair of poles is one 2 x 2 block. Repeated poles, poles
+whose separation would lose accuracy, and defective poles remain in one larger block. Sylvester
+equations decouple clusters of poles in the real Schur form. A cluster is decoupled if the solution
+of its equation is below a bound (Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359). Larger
+bounds are tried while the response keeps its accuracy, because the size of a netlist is
+proportional to the square of the size of a block.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import explicit_pencil, largest_entry
 
-# Largest condition of a decoupling transformation, which loses three digits; larger bounds are
-# tried with a measured loss.
+# Largest condition number of a decoupling transformation, which loses three digits. Larger numbers
+# are tried, and the loss of accuracy is measured.
 CONDITION_LIMIT = 1e3
 LARGER_LIMITS = 1e5, 1e7, 1e9
-MAX_BLOCK_STATES = 4  # states of the largest block for which no larger bound is tried
-# accepted change of the response due to a larger bound: relative, and as a share of the error
-# estimate
+MAX_BLOCK_STATES = 4  # largest number of states of a block for which no larger bound is tried
+# Largest change of the response that a larger bound may cause: relative to the response, and
+# relative to the error estimate.
 MAX_RESPONSE_CHANGE = 1e-9
 MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
@@ -38,10 +39,10 @@ EQUALITY_TOLERANCE = 1e-13
 class BlockModel(EqualByContent):
     """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
 
-    The real square blocks have any size. The ``coupled`` signals w have no states: ``0 = P z + Q u
-    + S w``. These inputs close loops, such as waves at the ports of a measured multiport. Without
-    the loops, the blocks have few entries. ``loops`` contains the matrices ``(F, P, Q, R, S)``; a
-    model without loops has the value None.
+    The real square blocks have any size. The signals w are determined by algebraic equations:
+    ``0 = P z + Q u + S w``. For example, they are the waves at the ports of a measured multiport.
+    Because the signals w are separate, the blocks have few entries. ``loops`` contains the matrices
+    ``(F, P, Q, R, S)``, and is None if there are no signals w.
     """
 
     blocks: tuple[np.ndarray, ...]
@@ -52,7 +53,7 @@ class BlockModel(EqualByContent):
 
 
 def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
-    """The reduced model in decoupled blocks, or as one block if ``dense``.
+    """Transform a reduced model to decoupled blocks, or to one block if ``dense`` is true.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 
 
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
-    """Frequencies ``j w`` (n,) across the poles, none if all poles are zero."""
+    """Return frequencies ``j w`` (n,) over the range of the poles, empty if all poles are zero."""
     size = np.abs(np.linalg.eigvals(A))
     size = size[size > EQUALITY_TOLERANCE * size.max(initial=0.0)]
     if not size.size:
@@ -97,11 +98,10 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
 
 
 def _read_blocks(model: LinearModel) -> BlockModel | None:
-    """Return the blocks of a first-order model whose states already form blocks.
+    """Return the blocks of a first-order model whose states already form small blocks.
 
-    The result is None for models of other forms. E must be diagonal, with ones before zeros, and
-    the states must form small blocks. Rows with zero E are algebraic equations and remain in the
-    result.
+    The result is None for other models. E must be diagonal, with ones before zeros. Rows in which E
+    is zero are algebraic equations; the result contains them as ``loops``.
     """
     if not model.first_order or model.E is None:
         return None
@@ -124,7 +124,7 @@ def _read_blocks(model: LinearModel) -> BlockModel | None:
 def decouple_states(
     A: np.ndarray, growth: float = CONDITION_LIMIT
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """``A = X diag(blocks) X^-1``; symmetric and skew matrices remain exact."""
+    """Decompose ``A = X diag(blocks) X^-1``; for symmetric and skew A, X is orthogonal."""
     one = np.eye(len(A))
     if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():
         return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
@@ -132,7 +132,7 @@ def decouple_states(
         values, X = eigh(0.5 * (A + A.T))
         return tuple(np.array([[value]]) for value in values), X, X.T
     T, Z = schur(A, output="real")
-    # lossless: the poles remain on the imaginary axis
+    # a model without losses: the poles remain on the imaginary axis
     if largest_entry(A + A.T) <= EQUALITY_TOLERANCE * largest_entry(A):
         T = 0.5 * (T - T.T)
         T[np.abs(T) <= EQUALITY_TOLERANCE * largest_entry(T)] = 0.0
@@ -143,9 +143,9 @@ def decouple_states(
 def _split_schur_form(
     T: np.ndarray, Z: np.ndarray, growth: float
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """Split the real Schur form from the top.
+    """Split the real Schur form into decoupled blocks, from the top.
 
-    The nearest pole joins a block if a split would be inaccurate.
+    If the separation of a block would be inaccurate, the nearest pole becomes a part of the block.
     """
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0
@@ -164,7 +164,7 @@ def _split_schur_form(
                 axis=1
             )
             nearest = list(_list_blocks(rest))[int(np.argmin(apart))][0]
-            # moves the pole pair to the top
+            # reorder the Schur form so that the nearest pole or pair follows the block
             T22, Q, _ = lapack.dtrexc(rest, np.eye(len(rest)), nearest + 1, 1)
             T[:, end:] = T[:, end:] @ Q
             T[end:, end:] = T22
@@ -177,7 +177,7 @@ def _split_schur_form(
 
 
 def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield start and size of each diagonal block of a real Schur form."""
+    """Yield the first index and the size of each diagonal block of a real Schur form."""
     while start < len(T):
         size = 2 if start + 1 < len(T) and T[start + 1, start] != 0 else 1
         yield start, size
@@ -185,12 +185,12 @@ def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
 
 
 def _block_size(T: np.ndarray, start: int) -> int:
-    """Return the size (1 or 2) of the diagonal block of a real Schur form at ``start``."""
+    """Return the size (1 or 2) of the diagonal block that begins at ``start``."""
     return next(_list_blocks(T, start))[1]
 
 
 def _list_poles(T: np.ndarray) -> np.ndarray:
-    """Eigenvalues of a real Schur form in the upper half plane, by its blocks."""
+    """Return the eigenvalues of a real Schur form in the upper half-plane, one for each block."""
     result = []
     for i, size in _list_blocks(T):
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0

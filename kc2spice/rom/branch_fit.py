@@ -1,29 +1,34 @@
 """Fit of a passive circuit of parallel branches with leads to a measured one-port.
 
-With s = j w and amplitudes of at least zero, the circuit is passive for all other parameters::
+The circuit is passive if all amplitudes G, C0, g_i, a_k and c_j are at least zero (s = j w)::
 
     Y_p(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
                + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
     1 / Y(s) = R + s L + 1 / Y_p(s)
 
-a resistor, a capacitor, branches of R and L in series (windings with eddy currents), branches of R
-and C in series (the loss of a dielectric), and Butterworth-Van Dyke branches (C = c_j,
-L = 1 / (c_j w_j^2), R = d_j L), all of them behind the resistance and the inductance of leads. G
-and g are absent from a part that looks like a capacitor at the lowest frequencies: no direct
-current flows through it.
+The elements in parallel are:
 
-Least squares of the logarithm of the deviation, log(Y / Y_measured), give the logarithms of all
-parameters (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105): for
-small deviations this is the relative deviation, but without a minimum at Y = 0. Elements are added
-one by one: resonances start at the largest conductance that the elements do not yet describe,
-relaxations and inductances on a grid of time constants, leads at shares of the largest possible
-ones. An element stays if the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978)
-461) falls; elements without which it falls further are removed, and leads replace branches above
-the band.
+* a resistor G and a capacitor C0,
+* branches of R and L in series (windings with eddy currents),
+* branches of R and C in series (the loss of a dielectric),
+* Butterworth-Van Dyke branches (C = c_j, L = 1 / (c_j w_j^2), R = d_j L).
 
-Rounding of the samples has no effect on the number of elements: a sum is refined to its minimum
-before its criterion is evaluated, the order of the forms decides between equal criteria, and the
-search ends at a deviation within the rounding of the frequencies.
+The leads in series with all branches have the resistance R and the inductance L. If the impedance
+of a part is capacitive at the lowest frequencies, no direct current flows through the part, and G
+and g_i are omitted.
+
+The fit minimises the squares of log(Y / Y_measured) over the logarithms of all parameters
+(Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
+deviations, this logarithm equals the relative deviation, but it has no minimum at Y = 0. Elements
+are added one by one. The start values of a resonance are at the largest conductance that no
+element describes yet. Relaxations and inductances start on a grid of time constants, and leads at
+fractions of the largest possible lead. An element remains if it reduces the Bayesian information
+criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). Elements are removed if the criterion falls
+without them, and leads replace branches above the band.
+
+Rounding errors of the samples do not change the number of elements. Each sum of elements is fitted
+completely before its criterion is evaluated. Of two sums with equal criteria, the first form is
+selected. The search ends if the deviation is within the rounding errors of the frequencies.
 """
 
 from __future__ import annotations
@@ -47,18 +52,19 @@ from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
 PATIENCE = 2  # successive elements below MIN_IMPROVEMENT that end the search
-POOR_PATIENCE = 5  # the same limit while the deviation is above POOR_DEVIATION
+POOR_PATIENCE = 5  # PATIENCE as long as the deviation is above POOR_DEVIATION
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
-START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
-# fractions of the largest lead resistance from which searches start
+START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
+# start values of a lead, as fractions of the largest possible lead
 LEAD_SHARES = (1e-3, 0.03, 0.5)
-STARTS_PER_DECADE = 2  # start values of the time constant of a relaxation or an inductance
-# largest number of evaluations: to choose among sums of branches, and for the final fit
+STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
+# largest number of evaluations for the choice among sums of branches, and for the final fit
 SELECTION_EVALUATIONS = 100
 FINAL_EVALUATIONS = 400
-# insignificant difference of the information criterion (Kass and Raftery, 1995)
+# largest insignificant difference of the information criterion (Kass and Raftery, 1995)
 CRITERION_TOLERANCE = 2.0
-# ratio of a resonance to the end of the band; above, a simpler element replaces the resonance
+# largest ratio of a resonance frequency to the end of the band; above this ratio, a simpler element
+# replaces the resonance
 MAX_FREQUENCY_RATIO = 3.0
 # longest time constant, relative to the reciprocal of the lowest angular frequency
 MAX_TIME_RATIO = 1e4
@@ -77,8 +83,8 @@ def fit_one_port(
     Parameters
     ----------
     noise : relative standard deviation of one component of Y, for the certificate's text.
-    conductance : at zero frequency [S], 0 for a part that blocks direct current; None derives it
-    from the samples.
+    conductance : conductance at zero frequency [S]: 0 for a part that blocks direct current, None
+    if the samples determine it.
     """
     samples = Samples(f, Y, conductance)
     elements = fit_branches(samples)
@@ -104,7 +110,8 @@ def fit_one_port(
 def _make_network(elements: Elements) -> ParallelBranches:
     """Make the circuit of a sum of elements.
 
-    Resonances come first, by their frequency. Leads of a single branch are a part of this branch.
+    Resonances come first, in ascending frequency. If there is only one branch, the leads become a
+    part of this branch.
     """
     capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
     order = sorted(
@@ -151,12 +158,12 @@ def fit_branches(samples: Samples) -> Elements:
 
 
 def _count_parameters(elements: Elements) -> int:
-    """Number of parameters of a sum."""
+    """Return the number of parameters of a sum of elements."""
     return sum(len(e.logs) for e in elements)
 
 
 def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Select the first sum whose criterion is the least one within a tolerance.
+    """Select the first sum of elements whose criterion is the smallest within a tolerance.
 
     Rounding errors of the criterion therefore do not change the selection.
     """
@@ -170,27 +177,28 @@ def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
 
 
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
-    """Limit the time of an element to ``slowest``, and its Q to :data:`MAX_Q`.
+    """Limit the time constant of an element to ``slowest``, and the Q factor to :data:`MAX_Q`.
 
-    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values, and Y
-    in the band does not change.
+    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values, and
+    the limits do not change Y in the band.
     """
     amplitude, *others = element.logs
     excess = _log_time(element) - slowest if others else 0.0
     if element.form == "resonant":
         w, d = others
-        if excess > 0:  # L = 1 / (c w^2) is unchanged
+        if excess > 0:  # L = 1 / (c w^2) remains the same
             amplitude, w = amplitude - 2 * excess, w + excess
         return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(MAX_Q)))))
     if excess <= 0:
         return element
-    return FitElement(element.form, (amplitude - excess, others[0] - excess))  # L or R is unchanged
+    # L or R remains the same
+    return FitElement(element.form, (amplitude - excess, others[0] - excess))
 
 
 def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
-    """Select the elements with frequencies outside of the band.
+    """Select the elements whose frequencies are outside of the band.
 
-    Simpler elements have the same Y in the band.
+    Within the band, simpler elements have the same Y.
     """
     low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
     high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
@@ -199,16 +207,16 @@ def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
 
 
 def _log_time(element: FitElement) -> float:
-    """Logarithm of the time [s] per radian of an element that has one."""
+    """Return the logarithm of an element's time constant [s]; of a resonance, log(1 / omega)."""
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
 
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
-    """Whether each element exceeds the deviation at more samples than parameters.
+    """Return whether each element exceeds the deviation at more samples than it has parameters.
 
-    Elements that describe only the noise of one sample are not selected.
+    The result is False for elements that describe only the noise of one sample.
     """
-    left = -np.expm1(-samples.rms(elements))  # relative to Y
+    left = -np.expm1(-samples.rms(elements))  # rms deviation relative to Y
     return all(
         np.count_nonzero(np.abs(by_amplitude) > left) > len(others) + 1
         for by_amplitude, *others in samples.slopes(elements)
@@ -216,7 +224,7 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 
 def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
-    """Remove or simplify ``doubtful`` elements if this reduces the criterion."""
+    """Remove or simplify the elements ``doubtful`` if the criterion then falls."""
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler(samples, elements, element):
@@ -229,9 +237,9 @@ def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Eleme
 def _propose_simpler(
     samples: Samples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
-    """Yield sums without an element, or with simpler elements in its place.
+    """Yield sums in which an element is omitted or replaced by simpler elements.
 
-    The simpler elements have the same Y in the band.
+    The simpler elements have the same Y in the band as the element.
     """
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
@@ -250,7 +258,7 @@ def _propose_simpler(
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
     """Yield sums in which leads replace a branch above the band.
 
-    Leads of the whole capacitance C0 have the same effect::
+    In series with the capacitance C0, leads have the same effect as branches in parallel with C0::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
     s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...
@@ -271,7 +279,7 @@ def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Element
 
 
 def _is_capacitance(element: FitElement) -> bool:
-    """Whether an element is the capacitance in parallel with the branches."""
+    """Return whether an element is the capacitance in parallel with the branches."""
     return element.form == "capacitance"
 
 
@@ -279,12 +287,12 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
     """Make an element of a simpler form with the time constant of another element."""
     if form in ("conductance", "capacitance"):
         return FitElement(form, (0.0,))
-    log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2 is the product R C of the branch
+    log_t = element.logs[2] - 2 * element.logs[1]  # time constant d / w^2 = R C of the branch
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
 def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
-    """Sums with one additional element, the best of every form, before their refinement."""
+    """Return sums with one additional element: the best element of each form, not yet refined."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -294,10 +302,10 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 
 
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
-    """Add a resonance at the largest conductance that the elements leave.
+    """Add a resonance at the largest conductance that no element describes yet.
 
-    The resonance has the height of the peak and the width at half of the height. A capacitance is
-    added if it is missing.
+    The resonance has the height of this peak, and its width at half of the height. If the sum has
+    no capacitance, a capacitance is added too.
     """
     missing = samples.unexplained_admittance(elements)
     top = int(np.argmax(missing.real))
@@ -317,7 +325,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
 
 
 def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Yield candidates for the next branch, or for the leads, each with start values."""
+    """Yield candidates for the next branch or lead with start values of their parameters."""
     present = {element.form for element in elements}
     forms = [
         form
@@ -342,16 +350,16 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
 
 
 def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
-    """Leads of one form, as fractions of the largest lead that agrees with all samples."""
+    """Return leads of one form: fractions of the largest lead that agrees with all samples."""
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
     return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
 def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
-    """Return up to three angular frequencies [rad/s] where ``elements`` fit worst.
+    """Return up to three angular frequencies [rad/s] at which ``elements`` fit worst.
 
-    There the missing conductance, its ratio to abs(Y), or the deviation is largest.
+    At these frequencies, the missing conductance, its ratio to abs(Y), or the deviation is largest.
     """
     left = samples.deviation(elements)
     missing = samples.unexplained_admittance(elements).real
@@ -361,7 +369,10 @@ def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
 
 
 def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
-    """Split the resonance nearest to the largest deviation into two, half a width apart."""
+    """Replace the resonance nearest to the largest deviation by two resonances.
+
+    The frequencies of the two resonances differ by half of the width of the resonance.
+    """
     resonant = [e for e in elements if e.form == "resonant"]
     if not resonant:
         return []

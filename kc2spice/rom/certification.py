@@ -14,11 +14,12 @@ from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# The error estimate of a resonance is at least this multiple of eps / damping ratio: rounding of
-# the stiffness by eps changes the response by eps / (2 damping ratio). The factor was chosen by
-# trial.
+# Smallest error estimate at a resonance, as a multiple of eps / (damping ratio): a relative
+# rounding error eps of the stiffness changes the response by eps / (2 damping ratio). The multiple
+# was found by trials.
 RESONANCE_ROUNDING = 4.0
-# entries that are zero by symmetry and listed in a certificate; others are counted
+# Largest number of entries that a certificate lists because they are zero by symmetry. If there are
+# more, the certificate contains their number.
 MAX_LISTED_ZEROS = 6
 
 
@@ -27,7 +28,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
 
     Raises
     ------
-    SimulationError : the model has a state whose rate is zero within double precision.
+    SimulationError : the model has a state whose rate is zero within rounding errors.
     UsageError : the model has no state-space form, which a netlist needs.
     """
     task, response, proof = basis.task, basis.leading_model(order), basis.proof(order)
@@ -54,7 +55,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
     labels["basis"] = basis.unknowns(order)
     result = make_linear_model(response.pencil, **labels, certificate=certificate, band=task.band)
-    result.state_space()  # a model that no netlist can represent raises an error
+    result.state_space()  # raises an error for a model that no netlist can represent
     return result
 
 
@@ -73,7 +74,7 @@ def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
 
 
 def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
-    """Return a text on the evidence for the error estimate and for stability."""
+    """Describe the evidence for the error estimate and for stability."""
     task = basis.task
     exact, estimator = task.intermediate, task.estimator
     count = exact.pencil.size
@@ -94,7 +95,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
 
 
 def _describe_zeros(entries: Entries, model: LinearModel) -> str:
-    """Describe the entries that count as zero."""
+    """Describe the entries of the response that count as zero."""
     places = zip(*np.nonzero(entries.zero), strict=True)
     names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]
     if not names:

@@ -2,22 +2,23 @@
 
 Source: IEEE Std 176-1987.
 
-The losses of a ceramic are stated as complex compliances ``s^E (1 - j / Q)``, real d and complex
-permittivities ``eps^T (1 - j tan delta)``, constant over frequency: Q is the same for all modes. In
-a body of modes ``omega_j`` with gains g_j of voltages and forces and the clamped capacitance D,
-elastic strain alone relaxes, that is, displacements less those of the free body at the voltage V,
+The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real d and complex
+permittivities ``eps^T (1 - j tan delta)``. They do not depend on frequency, so that all modes have
+the same Q. The body has modes ``omega_j`` with gains g_j of voltages and forces, and the clamped
+capacitance D. Only elastic strain has mechanical losses. For a mode, elastic strain w_j is the
+displacement z_j minus the displacement of the free body at the voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
     C_T = D + sum_j g_j^2 / omega_j^2,         chi = 1 + j / Q,        psi = 1 - j tan delta,
 
-with chi for ``1 / (1 - j / Q)``, which differs from it by ``1 / Q^2``. The free body at rest thus
-has the loss tangent of the data sheet and no mechanical loss; the clamped body has ``D - j (C_T
-tan delta + (C_T - D) / Q)``. By causality chi and psi are powers of frequency
-(:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`), equal to the above at the
-frequency of the stated constants: the frequency of the damping, and 1 kHz for the permittivity.
-Sums of relaxations approximate chi and psi. Their amplitudes are positive, so each relaxation is
-passive. The model is therefore passive if its instantaneous capacitance is positive.
+Here chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest has
+the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
+capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
+frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). They have the values
+above at one frequency: chi at the frequency of the damping, and psi at 1 kHz. Sums of relaxations
+approximate chi and psi. All amplitudes of the relaxations are positive, so each relaxation is
+passive. The model is passive if its instantaneous capacitance is positive.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from kc2spice.rom.structural_damping import (
     relaxing_stiffness,
 )
 
-# largest relative change of the response at resonances due to the fit of relaxations
+# largest relative error of the response at resonances by the fit of relaxations
 MAX_RELAXATION_ERROR = 1e-3
-# error of the permittivity, relative to the loss tangent, which is at most 0.02
+# error of the permittivity relative to the loss tangent; the loss tangent is at most 0.02
 DIELECTRIC_SHARE = 0.01
 # frequency, relative to the lowest resonance, above which errors of the stiffness are amplified
 SENSITIVITY_LIMIT = 0.7
-GRID_FREQUENCIES = 400  # frequencies of a band at which the error is measured
-# rounds of refinement at antiresonances, and frequencies around each
+GRID_FREQUENCIES = 400  # number of frequencies of a band at which the error is measured
+# rounds of refinement at antiresonances, and number of frequencies around each antiresonance
 REFINEMENT_ROUNDS = 2
 REFINED_FREQUENCIES = 9
 RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in half-widths
@@ -56,11 +57,11 @@ class ComplexConstants:
     Attributes
     ----------
     loss_factor : float
-        ``1 / Q`` of the compliances.
+        Loss factor ``1 / Q`` of the compliances.
     tangent : float
-        tan delta of the free body at 1 kHz.
+        Loss tangent, tan delta, of the free body at 1 kHz.
     at : float
-        Frequency [Hz] at which the stiffness is as stated.
+        Frequency [Hz] at which the stiffness has the value of the material.
     """
 
     loss_factor: float
@@ -71,16 +72,17 @@ class ComplexConstants:
         self, omega: np.ndarray, gain: np.ndarray, D: np.ndarray, electrical: np.ndarray,
         frequency: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Exact response (n, ports, ports) of modes with these losses.
+        """Compute the exact response (n, ports, ports) of modes with these losses.
 
         Parameters
         ----------
         omega, gain : (modes,) and (modes, ports) arrays
-            Undamped modes, mass-normalised [rad/s]; rigid-body modes have omega 0.
+            Angular frequencies [rad/s] and mass-normalised gains of undamped modes; omega is zero
+            for rigid-body modes.
         D : (ports, ports) array
-            Clamped capacitances [F], zero at other ports.
+            Clamped capacitances [F]; zero at ports that are not electrical.
         electrical : (ports,) array of bool
-            Ports whose load is a voltage.
+            Whether the input of each port is a voltage.
         frequency : (n,) array
             Frequencies [Hz].
         """
@@ -101,7 +103,7 @@ class ComplexConstants:
 
 
 def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
-    """Return D with zeros for all ports that are not electrical."""
+    """Return the matrix D with zeros for all ports that are not electrical."""
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
 
@@ -111,21 +113,21 @@ def complex_constants_model(model: Resonators, losses: ComplexConstants) -> Line
     Parameters
     ----------
     model : Resonators
-        Modes with inertia and a certificate, in whose band the losses are constant; their damping
-        is replaced.
+        Modes with inertia, and a certificate. The losses are constant in the band of the
+        certificate, and replace the damping of the modes.
     losses : ComplexConstants
-        Loss factor and tangent.
+        Loss factor and loss tangent.
 
     Returns
     -------
     LinearModel
-        Symmetric, with inner displacements of the relaxations; its certificate includes the error
-        of the relaxations, measured at resonances and between resonances.
+        Symmetric model, whose additional unknowns are inner displacements of the relaxations. The
+        certificate includes the error of the relaxations at resonances and between resonances.
 
     Raises
     ------
-    UsageError : modes without inertia, or a loss so large that the instantaneous capacitance is not
-        positive.
+    UsageError : a mode has no inertia, or the loss is so large that the instantaneous capacitance
+        is not positive.
     """
     from scipy.linalg import block_diag  # imported here, so that the command line starts faster
 
@@ -145,7 +147,7 @@ def complex_constants_model(model: Resonators, losses: ComplexConstants) -> Line
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
     def stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
-        """Return the amplification of stiffness errors: Q from the lowest resonance on, 1 below."""
+        """Return the amplification of stiffness errors: 1 below the lowest resonance, then Q."""
         lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 
@@ -210,9 +212,10 @@ def _largest_error(
     electrical: np.ndarray,
     band: tuple[float, float],
 ) -> float:
-    """Largest relative difference of the model to the exact response in the band.
+    """Return the largest relative difference of the model to the exact response in the band.
 
-    The error is relative to the entry, but at least to :data:`PEAK_SHARE` of its peak.
+    The difference is divided by the size of the entry, but at least by :data:`PEAK_SHARE` of the
+    entry's peak.
     """
     low, high = max(band[0], 1e-4 * band[1]), band[1]
     resonances = modes.omega / (2 * np.pi)
@@ -231,7 +234,7 @@ def _largest_error(
 
 
 def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Sample around the local minima of every entry (n, ports, ports).
+    """Return frequencies around the local minima of every entry of ``size`` (n, ports, ports).
 
     Relative errors are largest at these antiresonances.
     """

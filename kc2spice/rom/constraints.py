@@ -1,16 +1,17 @@
 """Elimination of constraints and of infinite poles from models.
 
-Rigid couplings of finite-element codes arrive with Lagrange multipliers::
+Models of finite-element programs describe rigid couplings by Lagrange multipliers l::
 
     M x'' + E x' + K x + G' l = B u        G x = 0
 
-The motions that the constraints leave are ``x = Z q``, ``G Z = 0``, and ``Z'MZ q'' + Z'EZ q' + Z'KZ
-q = Z'B u`` has the same response; the multipliers follow from the first equation. Symmetry and
-definiteness remain.
+The constraints ``G x = 0`` permit the motions ``x = Z q`` with ``G Z = 0``. The model ``Z'MZ q'' +
+Z'EZ q' + Z'KZ q = Z'B u`` has the same response, symmetry and definiteness. The first equation
+gives the multipliers.
 
-A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. A basis that splits E
-into a regular part and zeros shows algebraic equations. Equations that determine their unknowns
-(index 1) are eliminated; the others are constraints with multipliers (index 2)::
+A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. In a basis that
+separates E into a regular part and zeros, some equations are algebraic. Algebraic equations that
+determine unknowns (index 1) are eliminated; the other algebraic equations are constraints with
+multipliers (index 2)::
 
     E1 x' + P1 x + L l = B1 u        G x = B3 u        x = Z q + R u,  G R = B3
 
@@ -38,20 +39,20 @@ from kc2spice.rom.pencil import (
     to_dense,
 )
 
-DEPENDENT_CONSTRAINT = 1e-12  # size of a dependent constraint, relative to the largest
-# Singular values below this multiple of eps times the size of the matrix count as zero; in many
-# models, E is a product of matrices.
+DEPENDENT_CONSTRAINT = 1e-12  # size of a dependent constraint, relative to the largest constraint
+# Singular values below this multiple of eps times the norm of the matrix count as zero. The
+# multiple is large, because E of many models is a product of matrices.
 ZERO_SINGULAR_VALUE = 100.0
-MAX_DESCRIPTOR_STATES = 2000  # states of a descriptor model whose E is split
-MAX_CONSTRAINT_ENTRIES = 5e7  # entries of the constraints as a full matrix
+MAX_DESCRIPTOR_STATES = 2000  # largest number of states of a model whose infinite poles are removed
+MAX_CONSTRAINT_ENTRIES = 5e7  # largest number of entries of the constraints as a dense matrix
 NEGLIGIBLE_TERM = 1e-10  # largest relative rounding error of a zero term
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:
     """Eliminate the constraints that Lagrange multipliers enforce.
 
-    The result is the same pencil without such equations, or if the response contains derivatives
-    of the input.
+    The pencil is returned unchanged if it has no multipliers, or if its response contains
+    derivatives of the input.
     """
     rest, *others = pencil.coefficients
     if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
@@ -66,7 +67,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     Z, rank = null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # the multipliers act on unknowns that they do not constrain
+        return pencil  # multipliers act on unknowns that their equations do not constrain
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
@@ -80,7 +81,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 
 
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
-    """Find unknowns without inertia, damping and stiffness, also among each other."""
+    """Find multipliers: unknowns that have no inertia, damping and stiffness between each other."""
     result = ~has_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
@@ -90,9 +91,9 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
 
 
 def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
-    """Compute a sparse Z (n, n - rank) with ``G Z = 0``, and the rank.
+    """Compute a sparse basis Z (n, n - rank) with ``G Z = 0``, and the rank of G.
 
-    Some unknowns are functions of the other unknowns.
+    Most rows of Z are rows of the identity; the other rows express the remaining unknowns by them.
 
     Examples
     --------
@@ -128,9 +129,10 @@ def _insert_multipliers(
     L: Matrix,
     Z: Matrix,
 ) -> Pencil:
-    """Add outputs of multipliers ``l = S^-1 L'M^-1 (B u - E x' - K x)``.
+    """Add the multipliers ``l = S^-1 L'M^-1 (B u - E x' - K x)`` to the outputs.
 
-    ``S = L'M^-1 L``. The model is of first order if the multipliers depend on velocities.
+    Here ``S = L'M^-1 L``. If the multipliers depend on velocities, the result is a first-order
+    model.
     """
     K, E, M = map(to_dense, parts)
     L, Z = to_dense(L), to_dense(Z)
@@ -154,10 +156,10 @@ def _insert_multipliers(
 
 
 def deflate_infinite_poles(pencil: Pencil) -> Pencil:
-    """Remove the infinite poles of a descriptor model of first order.
+    """Remove the infinite poles of a first-order descriptor model.
 
-    The result is the same pencil if E is regular, if the model is too large, or if its response
-    contains derivatives of its input.
+    The pencil is returned unchanged if E is regular, if the model is too large, or if its response
+    contains derivatives of the input.
     """
     if pencil.degree != 1 or pencil.size > MAX_DESCRIPTOR_STATES or pencil.free:
         return pencil
@@ -175,7 +177,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     B, C = full.B / rows[:, None], full.C / columns
     U, V, rank = _split_by_rank(E, symmetric or np.array_equal(inertia, inertia.T))
     P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
-    # algebraic equations: first equations that determine their unknowns, then constraints
+    # algebraic equations: first the equations that determine unknowns, then the constraints
     U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest_entry(P))
     left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
     P, B, C = left.T @ P @ right, left.T @ B, C @ right
@@ -195,9 +197,10 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
 def _eliminate_index_two(
     E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
 ) -> Pencil | None:
-    """Eliminate the constraints behind the first n equations.
+    """Eliminate the constraints that follow after the first n equations.
 
-    The result is None if the index is higher, or if the response contains derivatives of the input.
+    The result is None if the index is higher than two, or if the response contains derivatives of
+    the input.
     """
     L, G, B3, C3 = P[:n, n:], P[n:, :n], B[n:], C[:, n:]
     P, B, C = P[:n, :n], B[:n], C[:, :n]
@@ -247,9 +250,9 @@ def _is_singular(matrix: np.ndarray) -> bool:
 def _split_by_rank(
     matrix: np.ndarray, symmetric: bool, scale: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Compute orthogonal U and V and the rank of a matrix P.
+    """Compute the rank of a matrix P, and orthogonal matrices U and V that separate its null space.
 
-    ``U'PV`` is regular in front, and zero elsewhere.
+    The leading block of ``U'PV`` is regular, and all other entries are zero.
     """
     if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest_entry(matrix):
         values, U = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -266,7 +269,7 @@ def _split_by_rank(
 
 
 def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
-    """Restore the symmetry of the input model, which rounding of products has removed."""
+    """Restore the symmetry of the original model, which products have lost by rounding errors."""
     parts = pencil.coefficients
     if symmetric:
         parts = tuple(0.5 * (P + P.T) for P in parts)
@@ -278,7 +281,7 @@ def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Penc
 
 
 def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
-    """Whether a difference is more than rounding of the reference."""
+    """Return whether a difference exceeds the rounding errors of the reference."""
     return largest_entry(difference) > NEGLIGIBLE_TERM * largest_entry(reference)
 
 
@@ -292,10 +295,10 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
 
 
 def reduced_form(pencil: Pencil) -> Pencil:
-    """Transform a model to the equivalent form from which a reduction starts.
+    """Eliminate the algebraic unknowns of a model, as the first step of a reduction.
 
-    The result is the model without constraints, infinite poles and unknowns without inertia and
-    damping.
+    The result is an equivalent model without constraints, infinite poles, and unknowns that have
+    neither inertia nor damping.
     """
     try:
         pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))

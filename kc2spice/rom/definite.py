@@ -11,19 +11,22 @@ from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a second-order model is symmetric, collocated, proportionally damped."""
+    """Return whether a second-order model is symmetric, collocated and proportionally damped."""
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
     return pencil.degree == 2 and proportional and pencil.symmetric and pencil.collocated
 
 
 def expects_cholesky(pencil: Pencil) -> bool:
-    """Whether a reduction needs one factor without pivoting if K is definite."""
+    """Return whether one factorisation without pivoting is enough for a reduction.
+
+    This is so for models of definite form if K is definite, which is not checked here.
+    """
     K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
     return form and not (isinstance(K, Schur) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Whether K of a model with definite form is positive definite."""
+    """Return whether K of a model with definite form is positive definite."""
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
@@ -38,15 +41,16 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     """Return whether the energy of the softest mode is within the rounding errors of K.
 
-    The motion is ``y = K^-1 load`` of a random load. Rounding errors can make the stiffness of a
-    free body positive definite.
+    The softest mode dominates ``y = K^-1 load`` for a random load. The check is necessary because
+    rounding errors can make the stiffness of a free body positive definite.
     """
     size = absolute_entries(K)
     rounding = ENERGY_ROUNDING * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # the error of the factor may exceed the error of the entries, which define a soft support
+    # The rounding errors of the factor may exceed those of the entries. Only the entries of K
+    # define a soft support, so the energy is computed from the entries.
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

@@ -1,14 +1,14 @@
-"""Circuit elements with lead resistance and inductance in series, and the fit of their total
-admittance to measurements.
+"""Fit of parallel circuit elements, in series with leads, to measured admittances.
 
-Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
+The admittances ``Y_k`` of elements in parallel and the impedances ``Z_l`` of leads have the total
+admittance
 
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
-:class:`Samples` contains frequencies and admittances. The methods of the samples give the deviation
-of a sum of :class:`FitElement` from the samples, the best amplitudes, and the nearest minimum over
-all parameters. The search for elements is in :mod:`kc2spice.rom.branch_fit`.
+:class:`Samples` contains measured frequencies and admittances. Its methods compute the deviation of
+a sum of elements (:class:`FitElement`) from the samples, and fit the amplitudes or all parameters
+of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import CircuitBranch
 
-INSTRUMENT_DEVIATION = 1e-5  # relative rms deviation; instruments are not more accurate
-ROUNDING_FACTOR = 1.5  # accepted deviation as a multiple of the effect of rounded frequencies
+INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms deviation of instruments
+ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the effect of rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
 DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
-TRIAL_EVALUATIONS = 40  # evaluations of each candidate sum of elements
+TRIAL_EVALUATIONS = 40  # number of evaluations for each candidate sum of elements
 CONVERGENCE_TOLERANCE = 1e-12  # relative change of the sum of squares and of the parameters
-# logarithm of a parameter; larger than for any part, within the range of floats
+# largest logarithm of a parameter: larger than for any real part, and within the range of floats
 MAX_LOG_PARAMETER = 150.0
-DC_WEIGHT = 1e4  # weight of a given resistance at zero frequency, as a number of samples
-# B/G at the lowest frequencies, above which a part blocks direct current
+DC_WEIGHT = 1e4  # weight of a prescribed dc resistance, as a number of samples
+# smallest ratio B/G at the lowest frequencies of a part that blocks direct current
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
-LOWEST_SAMPLES = 5  # lowest samples whose mean phase is used
+LOWEST_SAMPLES = 5  # number of samples at the lowest frequencies whose mean phase is used
 Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), and dY / dlog p (n,) for every parameter
 
@@ -79,11 +79,11 @@ PARALLEL_FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "relaxing": _relaxation_response,
     "resonant": _resonance_response,
 }
-# Constant impedance, and impedance in proportion to s.
+# The impedance of a lead resistance is constant, and of a lead inductance proportional to s.
 LEAD_FORMS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
 ELEMENT_FORMS = PARALLEL_FORMS | LEAD_FORMS
 CONDUCTING_FORMS = ("conductance", "inductive")
-# Simpler forms of an element for time constants outside of the band.
+# Simpler forms that replace an element whose time constant is outside of the band.
 SIMPLER_FORMS = {
     "conductance": (),
     "capacitance": (),
@@ -97,26 +97,27 @@ SIMPLER_FORMS = {
 
 @dataclass(frozen=True)
 class FitElement:
-    """Element of a circuit: part of the admittance in parallel, or of the impedance of the leads.
+    """Element of a circuit: one of the admittances in parallel, or a lead in series.
 
-    An element has a form and the logarithms of its parameters, the amplitude first.
+    ``form`` is the kind of the element. ``logs`` are the logarithms of its parameters, the
+    amplitude first.
     """
 
     form: str
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the admittance of the element, or impedance of a lead, with derivatives."""
+        """Return the admittance of the element, or impedance of a lead, and its derivatives."""
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
     def scaled(self, factor: float) -> FitElement:
-        """The element with its amplitude times ``factor``."""
+        """Return the element with its amplitude multiplied by ``factor``."""
         return FitElement(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
 
     @property
     def in_parallel(self) -> bool:
-        """Whether the element is in parallel and not a lead."""
+        """Whether the element is in parallel with others, so that it is not a lead."""
         return self.form in PARALLEL_FORMS
 
     @property
@@ -130,7 +131,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Resistor, inductor and capacitor of the element in series; none for a capacitance."""
+        """Return the element as R, L and C in series, None for a capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])
@@ -167,10 +168,10 @@ class Samples:
 
     @property
     def conducts_direct_current(self) -> bool:
-        """Whether direct current flows, as stated or according to the phase at low frequencies.
+        """Whether direct current flows through the part.
 
-        If direct current flows, the mean phase at the lowest frequencies differs from the phase of
-        a capacitor.
+        The user may state this. Otherwise, direct current flows if the mean phase at the lowest
+        frequencies differs from the phase of a capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0
@@ -181,8 +182,8 @@ class Samples:
     def tolerance(self) -> np.ndarray:
         """Relative deviation (n,) below which no further element is added.
 
-        The tolerance is :data:`INSTRUMENT_DEVIATION`, plus the effect of rounded frequencies in a
-        file.
+        The tolerance is :data:`INSTRUMENT_DEVIATION`, plus the effect of frequencies that are
+        rounded in the file.
         """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
@@ -192,10 +193,7 @@ class Samples:
         )
 
     def is_described(self, elements: Elements) -> bool:
-        """Whether a sum of elements differs from the samples by at most the tolerance.
-
-        The difference is the rms value.
-        """
+        """Return whether the rms deviation of a sum of elements is within the tolerance."""
         return bool(np.mean(np.abs(self.misfit(elements) / self.tolerance) ** 2) < 1)
 
     @cached_property
@@ -203,7 +201,7 @@ class Samples:
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
     def _sum_elements(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
-        """Admittance (n,) of the elements in parallel, and impedance (n,) of the leads."""
+        """Compute the admittance (n,) of the parallel elements, and the leads' impedance (n,)."""
         parallel, leads = np.zeros((2, len(self.f)), complex)
         for element in elements:
             if element.in_parallel:
@@ -213,18 +211,18 @@ class Samples:
         return parallel, leads
 
     def response(self, elements: Elements) -> np.ndarray:
-        """Admittance (n,) complex of a sum of elements."""
+        """Compute the complex admittance (n,) of a sum of elements."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(parallel / (1 + leads * parallel))
 
     def unexplained_admittance(self, elements: Elements) -> np.ndarray:
-        """Return the admittance (n,) that the elements in parallel leave unexplained."""
+        """Return the measured admittance (n,) without the leads and the parallel elements."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
-        """Derivatives (n,) of the logarithm of Y with respect to the parameters of each
-        element."""
+        """Compute the derivatives (n,) of log(Y) with respect to each parameter of each element.
+"""
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
@@ -233,22 +231,22 @@ class Samples:
         ]
 
     def deviation(self, elements: Elements) -> np.ndarray:
-        """Relative deviation (n,) complex of a sum of elements from the samples."""
+        """Compute the complex relative deviation (n,) of a sum of elements from the samples."""
         return np.asarray(self.response(elements) / self.Y - 1)
 
     def misfit(self, elements: Elements) -> np.ndarray:
-        """Complex logarithm (n,) of the ratio of a sum of elements to the samples."""
+        """Compute the complex logarithm (n,) of the ratio of a sum of elements to the samples."""
         ratio = self.response(elements) / self.Y
         return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
 
     def rms(self, elements: Elements) -> float:
-        """Root of the mean square of the logarithmic deviation."""
+        """Compute the rms value of the logarithmic deviation."""
         return float(np.sqrt(np.mean(np.abs(self.misfit(elements)) ** 2)))
 
     def criterion(self, elements: Elements) -> float:
         """Compute the Bayesian information criterion of a fit.
 
-        :data:`DEVIATION_FLOOR` is noise in addition to the noise of the samples.
+        The noise is the noise of the samples, plus :data:`DEVIATION_FLOOR`.
         """
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
@@ -260,17 +258,18 @@ class Samples:
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
         """Convert complex numbers (n,) to real rows, and append the residual ``dc``.
 
-        The last row is omitted if the conductance has no value or no weight.
+        ``dc`` is the residual of the conductance at zero frequency. It is omitted if the
+        conductance has no value or no weight.
         """
         if not self._dc_weight or self.conductance is None:
             return np.concatenate([x.real, x.imag])
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
     def fit_amplitudes(self, elements: Elements) -> tuple[Elements, float]:
-        """Fit the non-negative amplitudes of elements behind the leads.
+        """Fit the amplitudes of the parallel elements for given leads.
 
-        Elements with an amplitude of zero are left out. The second result is the norm of the
-        residual, which is linear in the admittance.
+        The amplitudes are not negative, and elements with an amplitude of zero are omitted. The
+        second result is the norm of the residual of this linear least-squares problem.
         """
         leads = tuple(e for e in elements if not e.in_parallel)
         elements = tuple(e for e in elements if e.in_parallel)
@@ -292,7 +291,7 @@ class Samples:
         return ((*positive, *leads) if positive else ()), float(left)
 
     def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
-        """Fit all parameters by nonlinear least squares, at most ``evaluations``."""
+        """Fit all parameters by nonlinear least squares with at most ``evaluations``."""
         if not elements:
             return elements
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
@@ -322,7 +321,7 @@ class Samples:
         start = np.concatenate([e.logs for e in elements])
         if len(start) > 2 * len(self.f):
             return elements
-        # steps may exceed the range of floats; the result is checked
+        # trial steps may exceed the range of floats; the result is checked
         with np.errstate(all="ignore"):
             result = least_squares(
                 residual,
@@ -340,8 +339,8 @@ class Samples:
 def frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
 
-    The estimate is the difference to equal linear or logarithmic steps, if half of the last decimal
-    digit explains the difference, and otherwise 0.
+    The estimate is the rms difference to equal linear or logarithmic steps. If rounding of the last
+    decimal digit cannot cause this difference, the estimate is 0.
 
     Examples
     --------
@@ -361,18 +360,18 @@ def frequency_rounding(f: np.ndarray) -> float:
 
 
 def lead_resistance(elements: Elements) -> float:
-    """Resistance [Ohm] of the leads among ``elements``."""
+    """Return the resistance [Ohm] of the leads among ``elements``."""
     return sum(e.amplitude for e in elements if e.form == "lead resistance")
 
 
 def conductance(elements: Elements) -> float:
-    """Conductance [S] of ``elements`` at zero frequency."""
+    """Return the conductance [S] of ``elements`` at zero frequency."""
     parallel = sum(e.conductance for e in elements)
     return parallel / (1 + lead_resistance(elements) * parallel)
 
 
 def _conductance_slope(elements: Elements, element: FitElement) -> float:
-    """Derivative of :func:`conductance` with respect to the logarithm of an amplitude."""
+    """Return the derivative of the conductance with respect to the logarithm of an amplitude."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)

@@ -1,10 +1,10 @@
-"""Errors of reduced models in the time domain, from models with more states.
+"""Errors of reduced models in the time domain, estimated with models that have more states.
 
-A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
-frequency counts as an error of 100 %, even if the loads of a run do not excite it. The responses of
-both models to the recorded loads are therefore compared over time. The responses are exact for
-loads that are linear between the points. The model with more states also contains motions above the
-band, which a contact excites.
+The error in a certificate is the largest error at any frequency. If a sharp resonance is shifted by
+a thousandth of its frequency, this error is 100 %, even if the loads of a run do not excite the
+resonance. Therefore, this module compares the responses of both models to the recorded loads over
+time. The responses are exact for loads that are linear between the recorded points. The model with
+more states also contains motions above the band, which a contact excites.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
 # differs by 1.9, 1.7 and 1.7 % (rms) from the stroke with 60, 120 and 300 states.
 STATE_RATIO = 2
 MIN_ADDED_STATES = 60
-# end of the band, relative to the requested one, for models that need vectors at other frequencies
-# than zero
+# end of the band, relative to the requested end, for models that need expansion points at other
+# frequencies than zero
 BAND_RATIO = 2.0
-TARGET_ERROR = 1e-6  # target error of the comparison model over the wider band
+TARGET_ERROR = 1e-6  # requested error of the comparison model over the wider band
 MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wider band
-# complex numbers, 64 MB: time points times modes that are integrated together
+# largest number of complex numbers in memory (64 MB): time points times modes of one group
 MAX_STORED_VALUES = 4_000_000
-# condition of the eigenvectors above which sums of modes lose significant digits
+# condition number of the eigenvectors above which sums of modes lose significant digits
 MAX_CONDITION = 1e8
 CONSTANT_VARIATION = 1e-9  # variation of a constant load or response, relative to the largest value
 
@@ -46,8 +46,8 @@ CONSTANT_VARIATION = 1e-9  # variation of a constant load or response, relative 
 class Orders:
     """Reductions of one full-order model to prescribed orders, and to many more states.
 
-    If the model has definite matrices, all orders use the nested vectors of one Krylov space: a
-    larger order extends the basis of a smaller one.
+    If the model has definite matrices, all orders use one Krylov subspace: the basis of a larger
+    order contains the basis of a smaller order.
     """
 
     def __init__(self, model: LinearModel) -> None:
@@ -63,7 +63,7 @@ class Orders:
         return krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Return the reduced model of an order, with massless highest modes as for a contact."""
+        """Return the reduced model of an order, whose highest modes are massless for contacts."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 
@@ -72,7 +72,7 @@ class Orders:
 
         Raises
         ------
-        SimulationError, UsageError : no model with more states is known to be better.
+        SimulationError, UsageError : no more accurate model with more states can be computed.
         """
         pencil, ports = self._pencil, self.model.ports
         states = max(STATE_RATIO * order, order + MIN_ADDED_STATES)
@@ -89,9 +89,9 @@ class Orders:
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
     """Compute outputs (n, outputs) over times ``t`` (n,) for a ``load`` (n, inputs).
 
-    The load is linear between the times; the model starts in equilibrium with ``load[0]``. The
-    result is None if modes cannot give the response: the model is free to move, or its eigenvectors
-    are defective.
+    The load is linear between the times, and the model is in equilibrium with ``load[0]`` at first.
+    The result is None if the response is no sum of modes: the model is free to move, or its
+    eigenvectors are defective.
     """
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
@@ -118,7 +118,7 @@ def _split_modes(modes: int, points: int) -> Iterator[slice]:
 
 
 def _select_modes(modal: Resonators, rows: slice) -> Resonators:
-    """Some of the modes of ``modal``, without its direct term."""
+    """Return a modal model with some of the modes of ``modal``, without the direct term."""
     massless = int(np.count_nonzero(modal.inertia[rows] == 0))
     return replace(
         modal,
@@ -144,14 +144,13 @@ def time_errors(
     load: np.ndarray,
     groups: Sequence[np.ndarray],
 ) -> Mapping[str, float] | None:
-    """Rms difference of the responses of two models to a ``load``, by output.
+    """Compute the rms differences (outputs,) of the responses of two models to a ``load``.
 
-    The load is (n, inputs).
-
-    Each error is relative to the largest rms change of this output due to one of: the loads of one
-    of the ``groups`` (masks of inputs), the direct term D, or all loads together. Loads that
-    cancel, such as the voltage across an open electrode, therefore count separately. The result is
-    None if a response is missing.
+    The load is (n, inputs). Each difference is divided by the largest rms change of its output.
+    These changes are computed for the loads of each of the ``groups`` (masks of inputs), for the
+    direct term D, and for all loads together. Therefore, loads whose effects cancel count
+    separately, such as the voltage across an open electrode. The result is None if the response of
+    a model cannot be computed.
     """
     ours = response(small, t, load)
     alone = [response(rich, t, load * group) for group in groups]
@@ -169,5 +168,5 @@ def time_errors(
 
 
 def _rms(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Root of the mean over time of the squares of ``values`` (n, outputs)."""
+    """Compute the rms values (outputs,) over time of ``values`` (n, outputs)."""
     return np.asarray(np.sqrt(np.trapezoid(values**2, t, axis=0) / (t[-1] - t[0])))

@@ -1,10 +1,11 @@
-"""Scales of errors of a transfer function's entries, and entries that are zero.
+"""Scales for the errors of entries of a transfer function, also for entries that are zero.
 
-A structure with a mirror plane has entries that are zero by symmetry: a force along y causes no
-motion along z. Both solutions contain only rounding errors in this entry, so their quotient has no
-meaning. Errors of such an entry are relative to the geometric mean of the largest entries of its
-row and its column, ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are
-balanced first, so that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).
+The transfer function of a body with a mirror plane has entries that are zero by symmetry: a force
+along y causes no motion along z. In such an entry, a full and a reduced model contain only rounding
+errors, so that a relative error has no meaning. Errors of such an entry are divided by the
+geometric mean of the largest entries of its row and its column: ``sqrt(|H_ii| |H_jj|)`` for two
+ports of a passive model. Rows and columns are balanced first, so that the result does not depend on
+units (D. Ruiz, RAL-TR-2001-034 (2001)).
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Below this share of the peak of an entry, errors are relative to this share of the peak.
+# Smallest reference of the error of an entry, as a share of the entry's peak.
 PEAK_SHARE = 1e-6
 # An entry counts as zero below this share of the geometric mean of its row and column. Rounding
-# causes about eps times the Q factor of the resonance, 2e-13 for a Q factor of 1000.
+# errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
 ZERO_ENTRY = 1e-11
 BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
 
@@ -30,8 +31,8 @@ def reference_share(norm: str) -> float:
 class Entries:
     """Entries (outputs, inputs) of a response over a band.
 
-    ``peak`` is the largest size of each entry. For entries that are ``zero`` it is the geometric
-    mean ``rows columns`` of their row and column.
+    ``peak`` is the largest size of each entry. For entries in the mask ``zero``, ``peak`` is the
+    geometric mean of the entry's row and column, which is the product of ``rows`` and ``columns``.
     """
 
     peak: np.ndarray
@@ -43,9 +44,9 @@ class Entries:
     def of(
         cls, H: np.ndarray, peak: np.ndarray | None = None, zero: np.ndarray | bool = False
     ) -> Entries:
-        """Make the entries of the response H (frequencies, outputs, inputs).
+        """Determine the scales of the entries of a response H (frequencies, outputs, inputs).
 
-        The caller may state the ``peak`` of each entry, and entries that are ``zero``.
+        By default, ``peak`` and ``zero`` are computed from H.
         """
         size = np.abs(H)
         peak = size.max(axis=0, initial=0.0) if peak is None else np.asarray(peak, dtype=float)
@@ -57,9 +58,9 @@ class Entries:
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
     def base(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
-        """Return the sizes to which errors of the response H (..., outputs, inputs) are relative.
+        """Return the reference sizes for errors of the response H (..., outputs, inputs).
 
-        Each reference is the size of the entry, but at least this ``share`` of its peak.
+        Each reference size is the size of the entry, but at least ``share`` of its peak.
         """
         size = np.abs(H)
         if self.zero.any():
@@ -67,9 +68,9 @@ class Entries:
         return np.asarray(np.maximum(size, share * self.peak))
 
     def negligible(self, H: np.ndarray) -> np.ndarray:
-        """Mask of values of the response H that are below ``ZERO_ENTRY`` of row and column.
+        """Return a mask of the values of H (..., outputs, inputs) that count as zero.
 
-        H is (..., outputs, inputs).
+        They are below ``ZERO_ENTRY`` times the geometric mean of their row and column.
         """
         scale = self.rows[:, None] * self.columns
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)
@@ -78,9 +79,9 @@ class Entries:
     def relative_sizes(
         self, difference: np.ndarray, H: np.ndarray, share: float = PEAK_SHARE
     ) -> np.ndarray:
-        """Sizes of a ``difference`` to the response H, relative to :meth:`base`.
+        """Divide the size of a ``difference`` to the response H by the reference size.
 
-        Both arrays are (..., outputs, inputs). The result is zero if the base is zero.
+        Both arrays are (..., outputs, inputs). The result is zero where the reference size is zero.
         """
         base = self.base(H, share)
         return np.asarray(
@@ -89,9 +90,10 @@ class Entries:
 
 
 def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute factors that scale the largest entry of each row and column to one.
+    """Compute factors ``rows`` and ``columns`` that balance a matrix.
 
-    The factors balance ``size / (rows columns)``. Rows and columns of zeros are ignored.
+    The largest entry of each row and column of ``size / (rows columns)`` is one. Rows and columns
+    of zeros are ignored.
     """
     rows, columns = np.ones(size.shape[0]), np.ones(size.shape[1])
     for _ in range(BALANCING_STEPS if size.size > 1 else 1):
@@ -103,7 +105,7 @@ def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Geometric mean of the largest entries of row and column.
+    """Return for each entry the geometric mean of the largest entries of its row and column.
 
     The result is (..., outputs, inputs).
     """

@@ -1,7 +1,7 @@
 """Error estimates of reduced-order models, for any method of reduction.
 
-The estimate is the largest relative difference to a more accurate model, at frequencies that are
-refined where the difference is largest.
+The estimate is the largest relative difference to a more accurate model. Frequencies are added
+where the difference is largest.
 """
 
 from __future__ import annotations
@@ -26,20 +26,22 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-# multiples of the end of the band, up to which contacts excite a body
+# multiples of the end of the band at which the error above the band is computed; contacts excite a
+# body up to these frequencies
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
-# Settings of the search for the largest error, chosen by trial; tests/physics/test_certificates.py
-# compares its result with errors on fine grids.
-REFINED_NOTCHES = 60  # deepest minima that each round refines
-ZOOM_FREQUENCIES = 9  # frequencies in a refined interval
-NOTCH_ROUNDS = 20  # rounds of refinement of notches
+# Settings of the search for the largest error, found by trials. A test in
+# tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
+REFINED_NOTCHES = 60  # number of deepest minima that each round refines
+ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
+NOTCH_ROUNDS = 20  # number of rounds that refine notches
 EQUAL_FREQUENCY = 1e-12  # largest relative difference of equal frequencies
-# ratio of neighbours to a minimum, or of a minimum to its interpolation, that indicates a deeper
-# minimum
+# smallest ratio that indicates a deeper minimum nearby: of a neighbour to a sampled minimum, or of
+# the sampled minimum to its interpolation
 MIN_STEEPNESS = 1.5
-REFINED_PEAKS = 40  # largest errors that each round refines
-PEAK_ROUNDS = 3  # rounds of refinement of the largest errors
-# equally spaced frequencies that are tested first, together with frequencies of earlier failures
+REFINED_PEAKS = 40  # number of largest errors that each round refines
+PEAK_ROUNDS = 3  # number of rounds that refine the largest errors
+# Number of equally spaced frequencies at which a model is tested first. The frequencies at which
+# earlier models were inaccurate are also tested first.
 FIRST_FREQUENCIES = 6
 
 
@@ -48,15 +50,16 @@ def adaptive_frequencies(
 ) -> np.ndarray:
     """Choose frequencies [Hz] at which relative errors are large.
 
-    The frequencies are a grid, every resonance with its flanks, and *pointwise* every deep notch of
-    any entry, which repeated refinement finds.
+    The frequencies are a grid, and every resonance with frequencies beside it. In the norm
+    *pointwise*, the frequencies include every deep notch of any entry, found by refinement.
     """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
     frequency = np.union1d(grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio))
     if norm == "pointwise":
-        # Distances from a pole, each three times the last: two of them enclose a zero near a weak,
-        # narrow resonance, which then appears as a minimum.
+        # Each distance from a pole is three times the previous distance. Near a weak and narrow
+        # resonance there is a zero, which lies between two of these distances and appears as a
+        # minimum.
         width = np.where(ratio < MIN_DAMPING_RATIO, FLANK_DISTANCE, ratio) * at
         away = RESONANCE_OFFSETS[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
         both = [(at[:, None] + k * away)[away < band[1] / GRID_FREQUENCIES] for k in (-1, 1)]
@@ -83,11 +86,11 @@ def adaptive_frequencies(
 
 
 def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Return the sizes of inner minima of ``H`` that may be near a deeper minimum.
+    """Return the sizes of the minima of ``H`` that may be near a deeper minimum.
 
-    H has a peak of 1. Other values are infinite. At a minimum near a zero, a neighbour is much
-    larger, or the straight line to the neighbour passes much nearer to zero. Minima below the floor
-    of errors are left out.
+    H has a peak of 1. The result is infinite at all other samples. If a zero is near a minimum, a
+    neighbour is much larger, or the straight line in the complex plane to the neighbour passes much
+    nearer to zero. Minima below the smallest reference of errors are ignored.
     """
     size = np.abs(H)
     step = np.diff(H, axis=0)
@@ -102,8 +105,8 @@ def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Place ``ZOOM_FREQUENCIES`` frequencies from each ``known[low]`` to ``known[high]``.
 
-    The result contains no ``known`` frequency, and each frequency once: frequencies that differ
-    only by rounding could hide a maximum.
+    The result contains each frequency once, and no frequency of ``known``, because equal
+    frequencies with different rounding errors could hide a maximum.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
     points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
@@ -118,9 +121,9 @@ def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> n
 
 @dataclass(frozen=True)
 class ErrorEstimator:
-    """Estimator of errors of models over a band, by an ``exact`` model.
+    """Estimator of the errors of models over a band by comparison with an ``exact`` model.
 
-    ``static`` states whether the exact model has a static response.
+    If ``static`` is true, the exact model has a static response.
     """
 
     exact: Response
@@ -135,20 +138,20 @@ class ErrorEstimator:
 
     @cached_property
     def reference(self) -> tuple[np.ndarray, Entries]:
-        """The exact response, and the properties of its entries."""
+        """Response of the exact model, and the scales of its entries."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
         return H, self.exact.entries(self.frequency, H)
 
     @property
     def share(self) -> float:
-        """Least reference value of errors of an entry, as a fraction of its peak."""
+        """Smallest reference of errors of an entry, as a fraction of the entry's peak."""
         return reference_share(self.norm)
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
-        """Return a mask of the entries that exceed the rounding errors of their terms.
+        """Mask of the entries that exceed the rounding errors of their terms.
 
-        Entries that are zero by symmetry count relative to their row and column.
+        The scale of entries that are zero by symmetry is that of their row and column.
         """
         return np.asarray(
             ~self.exact.cancelled_entries(2j * np.pi * self.frequency) | self.reference[1].zero
@@ -156,16 +159,19 @@ class ErrorEstimator:
 
     @cached_property
     def failed(self) -> dict[float, np.ndarray]:
-        """Frequencies [Hz] of the largest errors so far, with the exact response.
+        """Frequencies [Hz] of the largest errors of earlier models, with the exact response.
 
-        The list begins with a coarse grid over the band and ends with the latest frequencies, at
-        which the next inaccurate model probably fails.
+        The list begins with a coarse grid over the band. At the last frequencies of the list, the
+        next inaccurate model probably also has large errors.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Largest error (..., frequencies) of any entry for differences to H."""
+        """Return the largest relative error (..., frequencies) of any entry.
+
+        ``difference`` is the difference of a response to the exact response H.
+        """
         base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
         return np.asarray(
             (np.abs(difference) / base * self._significant_entries).max(axis=(-2, -1))
@@ -174,11 +180,11 @@ class ErrorEstimator:
     def error(self, reduced: Response, limit: float = np.inf) -> float:
         """Estimate :func:`relative_error` over the band in the ``norm``.
 
-        The frequencies are ``frequency``, and then those around the largest errors. Above ``limit``
-        the first error found is sufficient.
+        The error is computed at the frequencies ``frequency``, and then around the largest errors.
+        The search ends at the first error above ``limit``.
         """
         for last, H in reversed(self.failed.items()):
-            try:  # other coordinates are faster only for many frequencies
+            try:  # the transformation to other coordinates pays only for many frequencies
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.sizes(ours - H, H))
             except SimulationError:
@@ -210,10 +216,10 @@ class ErrorEstimator:
 def errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Errors ``above`` the band of a :class:`Certificate`.
+    """Compute the errors ``above`` the band for a :class:`Certificate`.
 
-    The errors are the largest relative differences of the driving-point response of any mechanical
-    port at ``MULTIPLES_ABOVE_BAND`` times the end of the band. The result is empty without a
+    At ``MULTIPLES_ABOVE_BAND`` times the end of the band, each error is the largest relative
+    difference of the driving-point response of any mechanical port. The result is empty without a
     mechanical port.
     """
     columns = [port for port in ports if port.kind != "output"]
@@ -229,13 +235,13 @@ def errors_above_band(
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Largest error of all entries and frequencies, relative to the entry.
+    """Return the largest relative error of all entries at all frequencies.
 
-    The error is relative to the entry, but at least to ``PEAK_SHARE`` of its peak. See
-    :class:`kc2spice.rom.entries.Entries` for entries that are zero.
+    The error is divided by the size of the entry, but at least by ``PEAK_SHARE`` of its peak.
+    :class:`kc2spice.rom.entries.Entries` describes entries that are zero.
 
-    Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of
-    entries that are independent of each other.
+    Arrays are (frequencies, outputs, inputs). Arrays (frequencies,) or (frequencies, entries)
+    contain entries that are independent of each other.
     """
     difference = response - reference
     if reference.ndim == 3:
@@ -248,9 +254,9 @@ def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
 def relative_size(
     difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
 ) -> np.ndarray:
-    """Errors (..., outputs, inputs) relative to entries.
+    """Return relative errors (..., outputs, inputs) for a difference to a reference.
 
-    By default, the ``entries`` are the entries of the reference. See
+    By default, the scales ``entries`` are computed from the reference. See
     :meth:`kc2spice.rom.entries.Entries.relative_sizes`.
     """
     entries = entries or Entries.of(reference)
@@ -258,7 +264,7 @@ def relative_size(
 
 
 def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
-    """Error of a reduction whose error estimate stays above the limit."""
+    """Make the error of a reduction whose error estimate remains above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)
 

@@ -1,10 +1,10 @@
 """First step of a reduction: an intermediate model of very high accuracy.
 
-* Small models: the whole model, in dense form.
-* Definite models with proportional or no damping, and free bodies of this form:
+* Small models: the whole model in dense form.
+* Definite models with proportional or no damping, and free bodies with such damping:
   :mod:`kc2spice.rom.reductors.definite_krylov`.
-* Ill-conditioned dense models of first order: :mod:`kc2spice.rom.reductors.exact_samples`.
-* All others: :mod:`kc2spice.rom.reductors.rational_krylov`.
+* Ill-conditioned dense first-order models: :mod:`kc2spice.rom.reductors.exact_samples`.
+* All other models: :mod:`kc2spice.rom.reductors.rational_krylov`.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from kc2spice.rom.rounding import (
 )
 from kc2spice.rom.stability import is_dissipative
 
-# Unknowns up to which modes are computed with 19 digits, to limit the work.
+# Largest number of unknowns for which modes are computed with 19 digits, to limit the time.
 MAX_EXTENDED_UNKNOWNS = 500
-# Largest models that are used completely, without samples; chosen by trial.
+# Largest models that serve as their own intermediate model; limits found by trials.
 MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
 MAX_COMPLETE_STATES = 600  # first-order states of other models
-MAX_DENSE_STATES = 2000  # states of models with so many resonances that samples do not converge
-MAX_DIRECT_UNKNOWNS = 150  # unknowns up to which one linear system per frequency may be solved
+MAX_DENSE_STATES = 2000  # states of models whose many resonances prevent convergence of samples
+MAX_DIRECT_UNKNOWNS = 150  # largest number of unknowns for one linear system per frequency
 
 
 def intermediate_model(
@@ -62,12 +62,12 @@ def intermediate_model(
     """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
 
     If rounding errors of the solutions of the full model exceed ``target``, an error of at most
-    ``limit`` is accepted. The model of a free body has few states if its rigid-body modes are
-    ``deflated``.
+    ``limit`` is accepted. If ``deflated``, the rigid-body modes of a free body are separated, so
+    that its model has few states.
 
     Raises
     ------
-    SimulationError : not even ``limit`` is met.
+    SimulationError : the error exceeds even ``limit``.
     """
     if pencil.size <= MAX_COMPLETE_DECOUPLED:
         full = pencil.scale_unknowns(2 * np.pi * band[1]).dense()
@@ -77,8 +77,8 @@ def intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
-        # Unless the stored energy is proven positive, a congruence converges only with
-        # well-conditioned modes.
+        # If the stored energy is not proven to be positive, a congruence converges only for a model
+        # with well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return sampled_model(full, band, target, limit)
@@ -90,7 +90,7 @@ def intermediate_model(
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if expects_cholesky(pencil):  # the check of the memory covered only a Cholesky factor
+    if expects_cholesky(pencil):  # the earlier check of the memory covered only a Cholesky factor
         require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
@@ -111,10 +111,10 @@ def intermediate_model(
 def _build_definite_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, deflated: bool
 ) -> IntermediateModel | None:
-    """Build the model of a definite pencil or of a free body; return None for all others.
+    """Build the intermediate model of a definite pencil or of a free body, None for others.
 
-    With potentials, the search for rigid-body modes takes less time than a factor of the
-    stiffness. If no factor of K is known, this search precedes the factorisation.
+    For a model with potentials, the search for rigid-body modes takes less time than the
+    factorisation of the stiffness. Therefore, if no factor of K is known, this search comes first.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:
@@ -129,9 +129,9 @@ def _build_definite_model(
 def _restore_units(
     pencil: Pencil, band: tuple[float, float], result: IntermediateModel
 ) -> IntermediateModel:
-    """Convert the basis of a scaled model to the units of the pencil.
+    """Convert the basis of a scaled intermediate model to the units of the pencil.
 
-    The intermediate model is the model of ``pencil.scale_unknowns(...)``.
+    ``result`` is the intermediate model of ``pencil.scale_unknowns(...)``.
     """
     if result.basis is None:
         return result
@@ -142,11 +142,13 @@ def _restore_units(
 def _use_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = MAX_COMPLETE_STATES
 ) -> IntermediateModel | None:
-    """Return a small model unchanged; None for a model whose response is too slow to evaluate.
+    """Return a small full-order model as its own intermediate model.
+
+    The result is None if the response of the model takes too long to evaluate.
 
     Raises
     ------
-    SimulationError : two solutions are further apart than ``limit``.
+    SimulationError : two solutions of the model differ by more than ``limit``.
     """
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
@@ -179,7 +181,7 @@ def _use_full_order(
         rounded = TRIAL_FACTOR * float(size.max())
         if T is not None:
             note = uncertainty_note(at, size, 2 * limit)
-        # products and solutions are rounded
+        # products and solutions have rounding errors
         if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
@@ -206,7 +208,7 @@ def _use_full_order(
 
 
 def _undamped_modes(full: Pencil) -> np.ndarray | None:
-    """Compute the modes (n, n) of symmetric, definite K and M of moderate size.
+    """Compute the modes (n, n) of a model with symmetric, definite K and M of moderate size.
 
     The result is None for other models.
     """
@@ -223,7 +225,10 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
-    """Compare direct solutions in two orders of elimination, and solutions by modes."""
+    """Return the largest difference between direct solutions and solutions by modes.
+
+    The direct solutions are computed in two elimination orders.
+    """
     full = response.pencil
     at, ratio = response.select_visible(band)
     sharpest = at[np.argsort(ratio)[:1]] * (

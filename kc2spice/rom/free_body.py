@@ -1,9 +1,9 @@
 """Rigid-body modes of a large unsupported body, and its elastic part.
 
-A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite and is
-factorised once, with real numbers. Inverse iteration with this factor gives the rigid-body modes.
-With these modes deflated, solutions with this matrix replace solutions with K in Krylov subspaces
-near zero frequency.
+A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite, and a
+real factor of it is computed once. Inverse iteration with this factor gives the rigid-body modes.
+After the rigid-body modes are deflated, solutions with ``K + sigma M`` replace solutions with K in
+Krylov subspaces near zero frequency.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
-# Shift relative to the square of the end of the band. For a small shift, the Krylov subspace is
-# close to that at zero, and inverse iteration needs few steps.
+# Shift relative to the square of the end of the band. With a small shift, the Krylov subspace is
+# close to the subspace for a shift of zero, and inverse iteration needs few steps.
 SHIFT_RATIO = 1e-6
-# smallest shift, relative to the highest squared frequency times the relative rounding error
+# smallest shift, relative to the product of the highest squared frequency and eps
 MIN_SHIFT_ROUNDING = 100.0
 # largest shift, relative to the square of the end of the band
 MAX_SHIFT_RATIO = 1e-2
-MAX_STEPS = 12  # steps of inverse iteration
-# Error of a mode at which the iteration ends. A step multiplies the error by
+MAX_STEPS = 12  # largest number of steps of inverse iteration
+# Error of a mode at which the iteration ends. Each step multiplies the error by
 # shift / (shift + first squared frequency).
 MODE_TOLERANCE = 1e-14
-# Largest elastic energy of a rigid-body mode, relative to random rounding errors of K. It is up to
-# 0.02 for unsupported bodies, and 1.5 for a chain of 1 400 masses with a support of 3e-14 of its
-# stiffness. Other methods reduce bodies above this value and retain their soft supports.
+# Largest elastic energy of a rigid-body mode, relative to random rounding errors of K. The energy
+# is up to 0.02 for unsupported bodies. It is 1.5 for a chain of 1 400 masses whose support has
+# 3e-14 of the chain's stiffness. Bodies above this limit are reduced by other methods, which retain
+# soft supports.
 MAX_RIGID_ENERGY = 1.0
-# vectors of inverse iteration: first and largest number; one body has six rigid-body modes
+# First and largest number of vectors of inverse iteration. One body has six rigid-body modes.
 BLOCK_VECTORS = 8
 MAX_BLOCK_VECTORS = 64
 
@@ -45,8 +46,8 @@ MAX_BLOCK_VECTORS = 64
 class FreeBody:
     """Model of an unsupported body: definite elastic part and separate rigid-body modes.
 
-    ``modes`` X (n, r) are orthonormal in the mass: ``X'MX = 1``. ``momenta`` is M X. ``factor`` is
-    the factor of the shifted stiffness ``K + shift M``.
+    ``modes`` X (n, r) are rigid-body modes with ``X'MX = 1``. ``momenta`` is M X. ``factor`` is the
+    factor of the shifted stiffness ``K + shift M``.
     """
 
     pencil: Pencil
@@ -62,22 +63,22 @@ class FreeBody:
         return np.asarray(x - self.modes @ (self.momenta.T @ x))
 
     def stiffness(self, x: np.ndarray) -> np.ndarray:
-        """Return ``(K + shift M) x``, the inner product of a basis."""
+        """Return ``(K + shift M) x``; this matrix defines the inner product of a basis."""
         K, _, M = self.pencil.coefficients
         return np.asarray(K @ x + self.shift * (M @ x))
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """Rigid-body modes (n, r), orthonormal in the shifted stiffness: first of a basis."""
+        """First vectors of a basis: rigid-body modes (n, r) orthonormal in ``K + shift M``."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(
         self, projected: Pencil, V: np.ndarray
     ) -> tuple[Pencil, np.ndarray]:
-        """Return a projection with exact rigid-body modes, and its coordinates as columns.
+        """Correct the rigid-body modes of a projected model.
 
-        The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are left
-        out.
+        The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are
+        omitted. The second result contains the coordinates of the corrected model as columns.
         """
         rounding = tuple(self._bound_rounding(forces, V) for forces in self._forces)
         result = split_driven_modes(projected, self.modes.shape[1], rounding)
@@ -85,11 +86,11 @@ class FreeBody:
 
     @cached_property
     def _forces(self) -> tuple[np.ndarray, ...]:
-        """Sums of the sizes of all forces on :attr:`vectors`, for each matrix (n, r)."""
+        """Sums (n, r) of the absolute values of all forces on :attr:`vectors`, for each matrix."""
         return tuple(absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Bound rounding errors (k, k) in the rows and columns of rigid-body modes."""
+        """Return bounds (k, k) of the rounding errors in rows and columns of rigid-body modes."""
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = (
             ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ forces),
@@ -102,8 +103,8 @@ class FreeBody:
 def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Return the rigid-body modes of a definite model that is free to move.
 
-    ``omega`` [rad/s] is the end of the band. The result is None if the model has another form, is
-    not free, or has supports so soft that they cannot be distinguished from rounding errors.
+    ``omega`` [rad/s] is the end of the band. The result is None if the model does not have a
+    definite form, is not free, or has supports as soft as rounding errors.
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None
@@ -135,11 +136,11 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 
 
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
-    """Find modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
+    """Find the modes (n, r) without elastic energy by inverse iteration.
 
-    The ``factor`` belongs to the shifted elastic stiffness. Modes that change electric potentials
-    have energy, even without elastic forces. The result has no columns if the first elastic mode is
-    below the shift.
+    The modes are orthonormal in the mass. The ``factor`` is that of the shifted elastic stiffness.
+    A mode that changes electric potentials has energy, even without elastic forces. The result has
+    no columns if the first elastic mode is below the shift.
     """
     K, _, M = pencil.coefficients
     rng, count = np.random.default_rng(0), BLOCK_VECTORS
@@ -160,7 +161,7 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
 
 
 def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
-    """Bound the elastic energies (k, k) of motions V by rounding errors of the stiffness."""
+    """Return bounds (k, k) of the elastic energies of motions V that rounding errors of K cause."""
     K = pencil.coefficients[0]
     bound = (
         ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))

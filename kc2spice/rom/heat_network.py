@@ -1,11 +1,11 @@
-"""Heat networks of one port in Foster's and in Cauer's form.
+"""Heat networks with one port, in Foster's and in Cauer's form.
 
 Foster's form is a chain of thermal resistances, each in parallel with a heat capacity::
 
     Z(s) = D + sum_k R_k / (1 + s t_k)          C_k = t_k / R_k
 
 Cauer's form is a ladder: heat capacities between the nodes and the pin ``ambient``, and thermal
-resistances between the nodes. Cauer's form follows from Foster's form by the continued fraction::
+resistances between the nodes. A continued fraction converts Foster's form to Cauer's form::
 
     Z(s) = D + 1 / (s C_1 + 1 / (R_1 + 1 / (s C_2 + 1 / (R_2 + ...))))
 
@@ -14,8 +14,8 @@ C_k``::
 
     sum_j S_min(j,k) x_j' + x_k / R_k = q        T = sum_k x_k + D q
 
-A linear model with these matrices is recognised as a ladder. (E. A. Guillemin, Synthesis of Passive
-Networks, 1957, chapter 4; JESD51-14.)
+A linear model with matrices of this form is recognised as a ladder. Sources: E. A. Guillemin,
+Synthesis of Passive Networks, 1957, chapter 4; JESD51-14.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from kc2spice.rom.linear_model import LinearModel, Port
 
 NetworkForm = Literal["foster", "cauer"]
 NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
-# largest relative difference of equal time constants: a hundred rounding errors
+# largest relative difference of equal time constants: a hundred times eps
 EQUAL_TIME = 2e-14
-# Decimal digits of the continued fraction for each mode. Each step loses at most the 14 digits in
-# which two time constants agree, in numerator and denominator.
+# Number of decimal digits per mode in the continued fraction. Each step loses at most the 14 digits
+# in which two time constants are equal, both in the numerator and in the denominator.
 DIGITS_PER_MODE = 30
 
 
 @dataclass(frozen=True, eq=False)
 class FosterNetwork(EqualByContent):
-    """Resistances (n,) [K/W] in series, each in parallel with a heat capacity; time constants (n,)
-    [s].
+    """Thermal resistances (n,) [K/W] in series, each in parallel with a heat capacity.
 
-    ``direct`` [K/W] is a resistance without a heat capacity.
+    ``time_constant`` (n,) [s] are the products of resistance and capacity. ``direct`` [K/W] is a
+    resistance without a heat capacity.
 
     Examples
     --------
@@ -65,7 +65,7 @@ class FosterNetwork(EqualByContent):
         return self.direct + float(self.resistance.sum())
 
     def step_response(self, time: np.ndarray) -> np.ndarray:
-        """Temperature rise (m,) [K] at ``time`` (m,) [s] after a step of 1 W at zero."""
+        """Return the temperature rise (m,) [K] at ``time`` (m,) [s] after a step of 1 W at zero."""
         rise = step_basis(time, self.time_constant) @ self.resistance
         return np.asarray(self.direct * (time >= 0) + rise)
 
@@ -96,7 +96,7 @@ class FosterNetwork(EqualByContent):
         return HeatLadder(np.array(resistances), np.array(capacities), self.direct)
 
     def _merge_equal_times(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return resistances and time constants; modes with equal times are merged."""
+        """Return resistances and time constants, with equal time constants merged."""
         order = np.argsort(self.time_constant)
         times, resistance = self.time_constant[order], self.resistance[order]
         first = np.r_[True, np.diff(times) > EQUAL_TIME * times[1:]]
@@ -115,7 +115,7 @@ class HeatLadder(EqualByContent):
     direct: float = 0.0
 
     def linear(self, port: Port) -> LinearModel:
-        """Convert the ladder to a linear model of the drops across its resistances."""
+        """Convert the ladder to a linear model of the temperature drops across its resistances."""
         number = np.arange(len(self.capacity))
         return LinearModel(
             E=np.cumsum(self.capacity)[np.minimum.outer(number, number)],
@@ -127,7 +127,7 @@ class HeatLadder(EqualByContent):
 
 
 def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
-    """Return ``1 - exp(-t / t_k)`` (times, modes), zero before the step."""
+    """Return ``1 - exp(-t / t_k)`` (times, modes), and zero for negative times."""
     return np.asarray(-np.expm1(-np.maximum(time, 0.0)[:, None] / time_constant))
 
 
@@ -172,7 +172,10 @@ def shape_network(network: FosterNetwork, form: NetworkForm, port: Port) -> Line
 def _add_modes(
     resistance: list[Decimal], times: list[Decimal]
 ) -> tuple[list[Decimal], list[Decimal]]:
-    """Return numerator and denominator of a sum of modes by powers of s, the lowest first."""
+    """Return the numerator and denominator of a sum of modes as polynomials in s.
+
+    The coefficients are in ascending powers of s.
+    """
     above, below = list[Decimal](), [Decimal(1)]
     for R, t in zip(resistance, times, strict=True):
         above = _add_polynomials(_times_pole(above, t), [R * x for x in below])

@@ -1,4 +1,4 @@
-"""Reduced heat model over ranges of parameters, as :mod:`kc2spice.rom.heat_ranges` computes it."""
+"""Reduced heat model over ranges of parameters; :mod:`kc2spice.rom.heat_ranges` computes it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from kc2spice.rom.ranges import ModelOverRanges
 class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
-    ``terms`` are the terms of the reduced matrices. ``facts`` are coefficients of polynomials of
-    the logarithms of positive facts with ``exponents``.
+    ``terms`` are the terms of the reduced matrices. Facts, such as a thermal resistance, are
+    positive functions of the parameters. ``facts`` contains the coefficients of a polynomial for
+    the logarithm of each fact, and ``exponents`` the exponents of this polynomial.
     """
 
     terms: MatrixTerms
@@ -33,11 +34,11 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis of each parameter by its name."""
+        """Range of each parameter, keyed by name."""
         return {axis.name: axis for axis in self.terms.axes}
 
     def at(self, values: Values) -> LinearModel:
-        """Return the model at values of all parameters."""
+        """Return the model for values of all parameters."""
         require_within(self.terms.axes, values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
         products = polynomials(x, self.exponents)[0]

@@ -5,12 +5,12 @@ The matrices of the full models are sums of terms with powers of the parameters 
 
     sum_t f_t(p) V'E_t V x' + sum_t f_t(p) V'K_t V x = V'B q.
 
-The dependence on the parameters therefore remains exact, however wide the range is. If all terms
-have no negative eigenvalue, the model is passive for all values of the parameters. V spans the
-reduced models at a few values. Values are added where the error is largest, until the error is
-within the tolerance at all samples of the ranges. The directions that contribute least to the
-responses are then removed. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections
-3.4 and 4.1: greedy sampling and a global basis.)
+The dependence on the parameters therefore remains exact, however wide the range is. If no term has
+a negative eigenvalue, the model is passive for all values of the parameters. The basis V contains
+the bases of reduced models at a few values. Values are added where the error is largest, until the
+error is within the tolerance at all samples of the ranges. Then the directions that contribute
+least to the responses are removed. Source: P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
+(2015) 483, sections 3.4 and 4.1 (greedy sampling and a global basis).
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 from kc2spice.rom.varying import interpolate_facts, make_range_error
 
-SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at each value of the parameters
+SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced model at each value of the parameters
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
-FINAL_SHARE = 0.6  # share of the tolerance at the samples
-SAFETY = 1.5  # margin for values between the samples
-SAMPLES = 8  # random samples of the ranges for each parameter, beside their corners
-CHECKS = 4  # full models that only test the result; one more is at a corner of the ranges
-ROUNDS = 4  # how often test values with a too large error may become samples
-MOST_VALUES = 40  # values of the parameters whose reduced models the basis spans
-DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest
-# negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
+FINAL_SHARE = 0.6  # share of the tolerance for the final model at the samples
+SAFETY = 1.5  # factor on the error at the samples, for values between the samples
+SAMPLES = 8  # number of random samples per parameter, in addition to the corners of the ranges
+CHECKS = 4  # number of full models that only test the result, in addition to one at a corner
+ROUNDS = 4  # largest number of rounds in which test values with large errors become samples
+MOST_VALUES = 40  # largest number of parameter values whose reduced models are in the basis
+DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest direction
+# largest negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
 CLIPPED = 1e-6
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
 
@@ -90,10 +90,10 @@ class HeatReduction:
     def reduce(self, task: RangeTask) -> HeatOverRanges:
         """Reduce the models over the ranges of the axes.
 
-        The certificate holds for all values in the ranges. Its error is the largest relative
-        difference, in the norm of the task, times :data:`SAFETY` for values in between. Reference
-        models are reduced models of the same terms at samples of the ranges, and full models at
-        :data:`CHECKS` values and a corner that were not used for the reduction.
+        The certificate is valid for all values in the ranges. Its error is the largest relative
+        difference to reference models, in the norm of the task, times :data:`SAFETY`. The reference
+        models are accurate reduced models at the samples of the ranges. In addition, full models
+        are compared at :data:`CHECKS` values and a corner that the reduction did not use.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class HeatReduction:
     ) -> tuple[HeatOverRanges, Sequence[_Reference]]:
         """Return the reduced model, and the samples of the ranges.
 
-        With ``flows``, the error includes that of heat flows into ports of prescribed temperature.
+        If ``flows`` is true, heat flows into ports of prescribed temperature are also compared.
         """
         axes, tolerance = task.axes, task.tolerance
         self._facts[:] = self._term_facts
@@ -148,7 +148,7 @@ class HeatReduction:
         raise make_range_error(problem, self._frame.name, got, tolerance)
 
     def _finish(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
-        """Add the certificate and the facts of full models."""
+        """Return the model with its certificate, and with facts that full models give."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
         middle = result.at(ranges.values(np.zeros(len(axes))))
@@ -165,7 +165,7 @@ class HeatReduction:
 
 
 class _Ranges:
-    """Full models over the ranges, and the requirements on the reduced model."""
+    """Full models over the ranges of the parameters, and the requirements on the reduced model."""
 
     def __init__(
         self,
@@ -180,23 +180,23 @@ class _Ranges:
         self.isolated = [bool(prescribed) and keeps_all_heat(K) for K in terms.K]
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Values of the parameters at coordinates (axes,)."""
+        """Return the values of the parameters at coordinates ``x`` (axes,) of the ranges."""
         pairs = zip(self.terms.axes, x, strict=True)
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
     def model(self, values: Values) -> LinearModel:
-        """Full model as the sum of its terms."""
+        """Return the full model for values of the parameters as the sum of its terms."""
         return LinearModel(
             **self.terms.at(values), B=self.frame.B, ports=self.frame.ports, name=self.frame.name
         )
 
     def reference(self, model: LinearModel, values: Values) -> _Reference:
-        """Return the reference of a reduced model at these values."""
+        """Return the reference with which a reduced model is compared at these values."""
         parts, task = split_prescribed(model, self.prescribed), self.task
         inner, flows = select_live_ports(parts.inner), None
         if self.prescribed:
             flows = FlowReference.of(model, parts, task.band, task.norm, task.tolerance)
-        if self.flows:  # these directions include the responses to prescribed temperatures
+        if self.flows:  # the basis includes the responses to prescribed temperatures
             sources = names_of(parts.inner.ports[: len(parts.shares)])
             live = [name for name in names_of(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
@@ -221,7 +221,7 @@ class _Reference:
     uncertainty: float
 
     def error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
-        """Largest relative error of a reduced model, over frequency and in the steady state."""
+        """Return the largest relative error of a reduced model, over frequency and when static."""
         ours = split_prescribed(reduced.at(self.values), self.ranges.prescribed)
         response = Response(ours.inner.select(self.live).pencil.dense())
         still = self._static_error(ours)
@@ -232,13 +232,13 @@ class _Reference:
         return max(still, self.estimator.error(response, limit) + self.uncertainty)
 
     def flow_error(self, reduced: HeatOverRanges) -> float:
-        """Largest relative error of heat flows into ports of prescribed temperature."""
+        """Return the largest relative error of heat flows into ports of prescribed temperature."""
         assert self.flows is not None
         model = reduced.at(self.values)
         return self.flows.error(model, split_prescribed(model, self.ranges.prescribed))
 
     def _static_error(self, ours: PrescribedTemperatures) -> float:
-        """Largest relative error of the static responses to prescribed temperatures."""
+        """Return the largest relative error of the static responses to prescribed temperatures."""
         share = reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
@@ -255,13 +255,13 @@ class _Reference:
 
 
 class _Basis:
-    """Directions of the reduced models at values of the parameters, with their weights.
+    """Basis of temperature distributions from reduced models at several parameter values.
 
-    The unknown temperatures are ``psi T_i + W c``, with the static responses ``psi`` at the middle
-    of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share in the
-    static response of a port, or the difference of a static response to ``psi``. If some terms
-    conduct no heat to the ambient, the rows of ``psi`` sum to one, so that a temperature of the
-    whole body is a vector of ones and zeros in these coordinates.
+    The unknown temperatures are ``psi T_i + W c``, where ``psi`` are the static responses at the
+    middle of the ranges. A column of W is a mode of a reduced model, or the difference of a static
+    response from ``psi``. Modes are scaled by their largest share in the static response of a port.
+    If some terms conduct no heat to the ambient, each row of ``psi`` has the sum one. A uniform
+    temperature of the body is then a vector of ones and zeros in these coordinates.
     """
 
     def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:
@@ -282,7 +282,7 @@ class _Basis:
             self.add(ranges.values(x))
 
     def add(self, values: Values) -> None:
-        """Add the reduced model at values of the parameters."""
+        """Add the directions of the reduced model at values of the parameters."""
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.model(values)
@@ -319,11 +319,12 @@ class _Basis:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def orthonormal(self) -> np.ndarray:
-        """Return directions (others, directions), orthonormal in the product of K, largest first.
+        """Return the directions W (others, directions) with ``W'K W = 1``, largest first.
 
-        Columns are independent by their heat contents, the diagonal of ``G = E + K / s`` with the
-        highest rate s of single unknowns. For slow modes ``x'K x`` is a difference of far larger
-        numbers.
+        Dependent columns are removed first. For this, columns are orthogonalised in the product of
+        the diagonal of ``G = E + K / s``, where s is the highest rate of single unknowns. The
+        product with K would be inaccurate for slow modes, because ``x'K x`` is a difference of far
+        larger numbers.
         """
         X = np.hstack(self.columns)
         scaled = self.content[:, None] * X
@@ -339,7 +340,7 @@ class _Basis:
         return np.asarray(Q @ U)
 
     def model(self, W: np.ndarray) -> HeatOverRanges:
-        """Return the reduced model of directions (others, directions)."""
+        """Return the reduced model with the directions ``W`` (others, directions)."""
         middle, ranges = self.middle, self.ranges
         n = len(middle.at)
         V = np.zeros((ranges.frame.order, n + W.shape[1]))
@@ -364,8 +365,8 @@ class _Basis:
 def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
     """Return ``V' matrix V`` without negative eigenvalues that are rounding errors.
 
-    Conductances of an insulated body have an eigenvalue of zero, which is the difference of far
-    larger numbers.
+    The conductance matrix of an insulated body has an eigenvalue of zero. By rounding errors, its
+    computed value may be negative.
     """
     result = V.T @ (matrix @ V)
     values, vectors = np.linalg.eigh(0.5 * (result + result.T))
@@ -378,11 +379,11 @@ def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
 def _find_smallest(
     basis: _Basis, samples: Sequence[_Reference], limit: float
 ) -> tuple[HeatOverRanges, float]:
-    """Return the model of the fewest directions within the limit at all samples, and its error.
+    """Return the smallest model whose error is within the limit at all samples, and its error.
 
     Raises
     ------
-    SimulationError : not even all directions of :data:`MOST_VALUES` values are enough.
+    SimulationError : the error exceeds the limit even with all directions of the basis.
     """
     while True:
         W = basis.orthonormal()
@@ -410,7 +411,7 @@ def _find_smallest(
 
 
 def _largest_error(model: HeatOverRanges, samples: Sequence[_Reference], limit: float) -> float:
-    """Largest error at the samples, or the first error that exceeds the limit."""
+    """Return the largest error at the samples, or the first error that exceeds the limit."""
     result = 0.0
     for item in samples:
         try:

@@ -16,9 +16,9 @@ ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
 
 def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) -> list[str]:
-    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate for readers.
+    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate.
 
-    Returns the file names, the ``.npz`` first.
+    Returns the file names, the ``.npz`` file first.
     """
     terms = model.terms
     arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
@@ -41,7 +41,7 @@ def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
 
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> HeatOverRanges:
-    """Make the model from its arrays and its record, which are checked."""
+    """Check the arrays and the record of a file, and make the model from them."""
     common = parse_ranges(record)
     ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]

@@ -1,18 +1,18 @@
 """Test with few factorisations whether a large model is unstable.
 
-All poles of a large model take too long to compute, but one growing pole proves instability.
+The computation of all poles of a large model would take too long, but one growing pole proves that
+the model is unstable.
 
 * A symmetric model of definite mass is unstable if a motion x has negative energy ``x'Kx``. Then
   ``s^2 M + s E + K`` is indefinite at s = 0 and definite for large real s. The matrix is therefore
   singular at some s > 0, which is a growing pole.
 * For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
   growing poles to the outside of the unit circle. The largest eigenvalues of this operator need one
-  real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). The
-  first c is the end of the band. The second is the median rate of single unknowns, from the
-  diagonals of the matrices.
+  real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). Two
+  values of c are tried: the end of the band, and the median rate of single unknowns, which is
+  computed from the diagonals of the matrices.
 
-Without a proof, a model may still be unstable with a slow growth, below about a hundredth of the
-magnitude of a pole.
+The test does not find poles whose growth rate is below about a hundredth of their magnitude.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
-# Arnoldi method: number of poles, vectors and restarts
+# number of poles, vectors and restarts of the Arnoldi method
 POLE_COUNT = 4
 KRYLOV_VECTORS = 40
 MAX_RESTARTS = 12
 LANCZOS_RESTARTS = 6  # restarts of the Lanczos method, of twenty vectors each
 MODE_ERROR = 1e-2  # relative error of the softest mode
-# multiple of the rounding error of an energy, below which the energy counts as zero
+# largest energy that counts as zero, as a multiple of the rounding error of the energy
 ZERO_ENERGY_FACTOR = 1e3
-MIN_GROWTH = 1e-4  # real part of a growing pole, relative to its magnitude
-MAX_RESIDUAL = 1e-6  # residual of a pole, relative to the terms of its equation
+MIN_GROWTH = 1e-4  # smallest real part of a growing pole, relative to its magnitude
+MAX_RESIDUAL = 1e-6  # largest residual of a pole, relative to the terms of its equation
 
 
 def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """Return the proof that a model is unstable, for an error message; None if unproven.
+    """Return the proof that a model is unstable for an error message, None without a proof.
 
     Parameters
     ----------
     pencil : Pencil
-        Of first or second order. Symmetric models with proportional damping are not factorised.
+        First-order or second-order model. If it is symmetric with proportional damping, no matrix
+        is factorised.
     band : pair of float, optional
         Band of interest [Hz].
 
@@ -64,7 +65,8 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
         return None
     if pencil.degree == 2 and pencil.symmetric:
         if (pencil.coefficients[2].diagonal() <= 0).any():
-            return None  # potentials or multipliers: the model is definite only without them
+            # models with potentials or multipliers are indefinite, even if they are stable
+            return None
         if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
@@ -85,7 +87,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
 
 
 def _has_negative_stiffness(pencil: Pencil) -> bool:
-    """Whether a symmetric model with definite mass has a negative elastic energy."""
+    """Return whether a motion of a symmetric model with definite mass has negative energy."""
     K, _, M = pencil.coefficients
     x = _find_highest_energy(-K)
     if x is None:
@@ -99,9 +101,9 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """Find the direction of the largest energy of a symmetric P with scaled rows.
+    """Find the vector x with the largest ``x'Px`` for a symmetric matrix P with scaled rows.
 
-    The result is None if no growing pole is found.
+    The result is None if the Lanczos method does not converge.
     """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():
@@ -118,7 +120,7 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
 
 
 def _typical_rate(pencil: Pencil) -> float:
-    """Median of the rates [1/s] of single unknowns that have inertia."""
+    """Return the median of ``(k_ii / m_ii)^(1/degree)`` [1/s] over the unknowns with inertia."""
     rest, inertia = (abs(P.diagonal()) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
     moving = (rest > 0) & (inertia > 0)
     if not moving.any():
@@ -136,7 +138,7 @@ def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     inertia, *loss = pencil.coefficients[:0:-1]
 
     def cayley(z: np.ndarray) -> np.ndarray:
-        """``z + 2 c (A - c E)^-1 E z`` in the unknowns x, or x and x'."""
+        """Return ``z + 2 c (A - c E)^-1 E z``, where z contains x, or x and x'."""
         if degree == 1:
             return np.asarray(z - 2 * rate * solve(inertia @ z))
         x = -solve(inertia @ (z[n:] + rate * z[:n]) + loss[0] @ z[:n])

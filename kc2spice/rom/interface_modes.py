@@ -7,11 +7,11 @@ ports, such as isothermal faces, and all other temperatures ``T_e``. With the st
     T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
-A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``, from
-which the heat flows follow accurately (:mod:`kc2spice.rom.prescribed_flows`). This basis and
-``Psi`` together are a basis of the whole model. E and K stay symmetric and positive semi-definite,
-so the model is passive. The static responses to prescribed temperatures are exact. (R. R. Craig,
-M. C. C. Bampton, AIAA Journal 6 (1968) 1313, for structures.)
+A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``. This
+model gives accurate heat flows (:mod:`kc2spice.rom.prescribed_flows`). The basis of the congruence
+and ``Psi`` together are a basis of the whole model. E and K remain symmetric and positive
+semi-definite, so the model is passive. The static responses to prescribed temperatures are exact.
+R. R. Craig and M. C. C. Bampton, AIAA Journal 6 (1968) 1313, describe this method for structures.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
 from kc2spice.rom.reduce import reduce_model
 
-ATTEMPTS = 6  # tolerances of the unknowns that are tried for the tolerance of heat flows
-SMALLEST_TOLERANCE = 1e-9  # tolerance of the unknowns, near their rounding errors
-REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference if the order is prescribed
+ATTEMPTS = 6  # number of tolerances of the unknowns that are tried to meet the one of heat flows
+SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of the unknowns, near their rounding errors
+REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference model if the order is prescribed
 
 
 def reduce_with_interfaces(
@@ -55,19 +55,20 @@ def reduce_with_interfaces(
 
     Parameters
     ----------
-    model : heat model with E and K; the column of B of each such port contains one 1.
-    prescribed : names of the ports.
+    model : heat model with E and K; the column of B of each prescribed port contains one 1.
+    prescribed : names of the ports with prescribed temperatures.
     parts : the result of :func:`split_prescribed` if it is known.
-    flows : whether the basis also represents the heat flows into these ports.
-    measured : whether these heat flows are compared with the tolerance, and included in the error.
+    flows : whether the basis also represents the heat flows into prescribed ports.
+    measured : whether heat flows into prescribed ports must meet the tolerance, and are included in
+        the error.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
         :func:`kc2spice.rom.reduce.reduce_model`.
 
     Returns
     -------
     LinearModel
-        Model with the ports of ``model`` in their order. The error of its certificate is that of
-        temperatures and, if ``measured``, of heat flows into the ports of prescribed temperature.
+        Model with the ports of ``model`` in the same order. The certificate contains the error of
+        temperatures and, if ``measured``, of heat flows into prescribed ports.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def reduce_with_interfaces(
         small = _reduce_driven(model, parts, {**aims, "tolerance": inner_tolerance})
         result = _reduce_parts(model, parts, small)
         certificate = result.certificate
-        assert certificate is not None  # every reduction has one
+        assert certificate is not None  # every reduced model has a certificate
         error = reference.error(result, split_prescribed(result, prescribed))
         worst = max(error, certificate.error_estimate)
         if aims["order"] is not None or worst <= tolerance:
@@ -140,7 +141,7 @@ def _reduce_parts(
 
 
 def no_congruence_error(model: LinearModel) -> UsageError:
-    """Return the error of a model of heat that no congruence reduces."""
+    """Make the error for a heat model that no congruence can reduce."""
     return wrong(
         model.name, "this heat model cannot be reduced to a tolerance", hint="set rom.order"
     )
@@ -149,8 +150,9 @@ def no_congruence_error(model: LinearModel) -> UsageError:
 def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a model whose K is positive definite.
 
-    The rates of a small model may differ by 12 orders of magnitude. In modal coordinates K is the
-    unit matrix, so that a slow mode is not mistaken for a body without a path for its heat.
+    The rates of a small model may differ by 12 orders of magnitude. A slow mode could then be
+    mistaken for a body without a thermal path. Therefore, small models are transformed to modal
+    coordinates, in which K is the unit matrix.
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)

@@ -1,6 +1,6 @@
-"""Heat models, divided into ports with prescribed temperatures and all other unknowns.
+"""Division of heat models into ports with prescribed temperatures and all other unknowns.
 
-:mod:`kc2spice.rom.interface_modes` states the equations. The division is exact.
+:mod:`kc2spice.rom.interface_modes` contains the equations. The division is exact.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from kc2spice.core.domains import THERMAL
 from kc2spice.core.naming import names_of
 from kc2spice.rom.linear_model import LinearModel, Port
 
-DENSE = 1500  # unknowns up to which the modes of a model are computed
-ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, relative
+DENSE = 1500  # largest number of unknowns of a model whose modes are computed
+ROUNDING = 1e-12  # largest relative sum of a row of K without a thermal path to the ambient
 
 
 def keeps_all_heat(K: sparse.csc_array) -> bool:
-    """Return whether a uniform temperature causes no heat flow."""
+    """Return whether a uniform temperature of the body causes no heat flow."""
     return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
 
 
 @dataclass(frozen=True, eq=False)
 class PrescribedTemperatures:
-    """A heat model, divided into ports with prescribed temperatures and all other unknowns.
+    """Heat model that is divided into prescribed temperatures and all other unknowns.
 
     Attributes
     ----------
-    at, others : unknowns whose temperatures are prescribed, and all other unknowns.
-    psi : (others, at) static responses to the prescribed temperatures.
-    shares : (sources, at) static temperatures of the ports q for prescribed temperatures.
-    conductance : (at, at) [W/K] static heat flows into the ports of prescribed temperature.
-    stored : (at, at) [J/K] heat that the static responses to prescribed temperatures store.
-    inner : model of x in these equations, with the ports q and then T_i'.
+    at, others : indices of the unknowns with prescribed temperatures, and of all other unknowns.
+    psi : (others, at) static responses of the other unknowns to prescribed temperatures.
+    shares : (sources, at) static temperatures of the ports q for prescribed temperatures of 1 K.
+    conductance : (at, at) [W/K] static heat flows into the ports for temperatures of 1 K.
+    stored : (at, at) [J/K] heat that the static responses to temperatures of 1 K store.
+    inner : model of x (:mod:`kc2spice.rom.interface_modes`), with the ports q and then T_i'.
     """
 
     at: np.ndarray
@@ -69,7 +69,7 @@ def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> Prescribe
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
     conductance = symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
     if keeps_all_heat(K):
-        # a uniform temperature causes no heat flow
+        # a uniform temperature must not cause a heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
     return PrescribedTemperatures(
@@ -78,7 +78,7 @@ def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> Prescribe
 
 
 def select_live_ports(model: LinearModel) -> LinearModel:
-    """Return the model without ports whose column of B is zero."""
+    """Return the model without the ports whose column of B is zero."""
     live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
     return model.select([model.ports[k].name for k in live])
 

@@ -15,7 +15,7 @@ from kc2spice.rom.response import Response
 
 @dataclass(frozen=True, eq=False)
 class IntermediateModel:
-    """A dense model that reductors start from and that errors are estimated with.
+    """Dense model from which reductors start, and with which errors are estimated.
 
     Parameters
     ----------
@@ -28,16 +28,16 @@ class IntermediateModel:
     proof : str
         Evidence for ``error``, for the certificate.
     floor : float
-        Relative change of the response by rounding of the full-order model's entries. No reduced
-        model is more accurate.
+        Relative change of the response by rounding errors of the entries of the full-order model.
+        No reduced model is more accurate.
     complete : bool
-        Whether this is the full-order model in other coordinates.
+        Whether this model is the full-order model in other coordinates.
     hidden : float
-        Frequency [Hz] below which rounding hides the resonance of a support.
+        Frequency [Hz] below which rounding errors hide the resonance of a support.
     basis : (n, k) array, optional
-        Unknowns of the full-order model per unknown of this model.
+        Basis of this model: column k is the unknown k of this model in unknowns of the full one.
     points : tuple of floats
-        Frequencies [Hz] at which the full-order model was factorised for the basis.
+        Frequencies [Hz] at which the full-order model was factorised to compute the basis.
     """
 
     response: Response
@@ -52,7 +52,7 @@ class IntermediateModel:
 
     @property
     def pencil(self) -> Pencil:
-        """The matrices of the model."""
+        """Matrices of the intermediate model."""
         return self.response.pencil
 
     @property

@@ -1,12 +1,13 @@
 """Files of models: reduced models with certificates, and Matrix Market files.
 
-A reduced model is one ``.npz``, or a Matrix Market family. Damaged Matrix Market files of other
-programs cause an error.
+A reduced model is one ``.npz`` file, or several Matrix Market files. Damaged Matrix Market files of
+other programs cause an error.
 
-scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5, doubles a symmetric matrix of
-which both triangles are stored, and fills a symmetric array that is not square with numbers that
-the file does not contain. This module compares every count with the content of the file, and every
-index with the size, before use. Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
+scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5. If both triangles of a
+symmetric matrix are stored, it doubles the entries. A symmetric array that is not square gets
+numbers that the file does not contain. Therefore, this module compares every count with the content
+of the file, and every index with the size of the matrix. Format: Boisvert, Pozo, Remington, NIST IR
+5935 (1996).
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-_MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # numbers per value
+_MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # number of numbers per entry
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # Fortran exponents, and the separator of comma lists
 _FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
 
 
 def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
-    """The matrix of a file's content: csc for 'coordinate', dense for 'array'.
+    """Return the matrix in the content of a file: csc for 'coordinate', dense for 'array'.
 
-    ``allowed(shape, entries)`` raises an error if the declared size is too large, before memory is
-    allocated.
+    Before memory is allocated, ``allowed(shape, entries)`` is called. It raises an error if the
+    declared size is too large.
 
     Raises
     ------
-    ValueError : not a matrix in this format, or a Hermitian one, with the reason: numbers missing,
-        too many or unreadable, or an index outside the matrix.
+    ValueError : the content is not a matrix in this format, or the matrix is Hermitian. The reason
+        is, for example: missing or unreadable numbers, too many numbers, or a wrong index.
     """
     end = data.find(b"\n", 0, 1000)
     banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
@@ -81,7 +82,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
 
 
 def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
-    """Return the sizes in the line behind the comments, and the position of the first number."""
+    """Return the sizes in the line after the comments, and the position of the first number."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -132,7 +133,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
 
     Raises
     ------
-    ValueError : the text contains something else than numbers.
+    ValueError : the text contains other things than numbers.
     """
     if not text.strip():
         return np.empty(0)
@@ -145,7 +146,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
 
 
 def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
-    """``values`` counted from 1 as integers counted from 0.
+    """Convert indices ``values`` that are counted from 1 to integers that are counted from 0.
 
     Raises
     ------
@@ -158,14 +159,14 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """Return the whole symmetric matrix of a stored triangle; with ``sign`` -1, the skew matrix."""
+    """Return the symmetric matrix with a stored triangle; for ``sign`` -1, the skew matrix."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
 
 MAX_FILE_BYTES = 1_000_000_000
-MAX_ENTRIES = 50_000_000  # entries of one matrix
-MAX_TEXT_LENGTH = 64  # characters of a name or unit
+MAX_ENTRIES = 50_000_000  # largest number of entries of one matrix
+MAX_TEXT_LENGTH = 64  # largest number of characters of a name or unit
 _EXPECTED_FILE = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
 _RECORD_NAME = "record"  # name of the JSON text in an archive
 
@@ -173,8 +174,8 @@ _RECORD_NAME = "record"  # name of the JSON text in an archive
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     """Write ``name.npz``, ``name.M`` ... (Matrix Market, 17 digits) and ``name.json``.
 
-    ``name.json`` holds ports, certificate and error estimates of the mesh for readers of the Matrix
-    Market files. Returns the file names, the ``.npz`` first.
+    ``name.json`` contains ports, certificate and error estimates of the mesh for other programs
+    that read the Matrix Market files. Returns the file names, the ``.npz`` file first.
     """
     letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
@@ -204,12 +205,12 @@ def require_rom_file(path: Path) -> None:
 def read_rom(path: Path | str) -> LinearModel:
     """Read a reduced model that :func:`write_rom` wrote.
 
-    The path names the ``.npz``, the ``.json``, or any matrix file of the family.
+    The path is that of the ``.npz`` file, the ``.json`` file, or any matrix file of the model.
 
     Raises
     ------
-    UsageError : the file is missing or damaged, or contains no reduced model or numbers that are
-    not finite.
+    UsageError : the file is missing or damaged, contains no reduced model, or contains numbers that
+    are not finite.
     """
     path = Path(path)
     require_rom_file(path)
@@ -268,7 +269,7 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
 def write_archive(
     directory: Path, name: str, arrays: Mapping[str, Any], record: Mapping[str, Any]
 ) -> list[str]:
-    """Write ``name.npz``, and its record for readers in ``name.json``; return these file names."""
+    """Write ``name.npz``, and its record in ``name.json``; return the names of both files."""
     text = json.dumps(record, indent=2)
     content: dict[str, Any] = {**arrays, _RECORD_NAME: np.array(text)}
     np.savez(directory / f"{name}.npz", **content)
@@ -291,7 +292,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
-    """Make the error of a file without a reduced model from the error of its parser."""
+    """Make the error for a file that contains no reduced model, from the error of its parser."""
     unreduced = isinstance(error, KeyError) and _RECORD_NAME in str(error)
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return UsageError(
@@ -315,11 +316,11 @@ def require_single_line(text: str, longest: int) -> str:
 
 
 def parse_ports(records: object) -> tuple[Port, ...]:
-    """Make ports from their records, and check that a netlist can contain their words.
+    """Make ports from their records, and check that a netlist can contain their names and units.
 
     Raises
     ------
-    ValueError : not the records of ports, or a text that is not one word.
+    ValueError : the records do not describe ports, or a name or unit contains a blank.
     """
     from pydantic import TypeAdapter  # imported here, because runs read no such file
 
@@ -337,7 +338,7 @@ def parse_certificate(record: object) -> Certificate:
 
     Raises
     ------
-    ValueError : not the record of a certificate, or a number that is not finite.
+    ValueError : the record does not describe a certificate, or a number is not finite.
     """
     from pydantic import TypeAdapter
 

@@ -1,9 +1,7 @@
-"""The linear model: operators with named, typed ports.
+"""Linear models: matrices with named ports. Full and reduced models have the same class.
 
-Full and reduced models are of this class.
-
-A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:`Certificate`.
-Circuits are built from its state-space matrices, which other libraries can also read.
+A reductor maps one :class:`LinearModel` to a smaller one with a :class:`Certificate`. Circuits are
+built from the state-space matrices of the model, which other libraries can also read.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ PORT_KINDS = (*PORTS, "input", "output")
 class Port:
     """Connection of a model to other parts: one column of B, one row of C.
 
-    ``kind`` fixes the SI pair (input u, output y):
+    ``kind`` determines the input u and the output y in SI units:
 
     * *electrical*: voltage [V] between ``pins[0]`` and ``pins[1]``, charge [C] into ``pins[0]``;
     * *mechanical*: force [N] on the body along the port's direction, displacement [m] in the same
@@ -44,14 +42,14 @@ class Port:
     * *rotational*: moment [N m], angle [rad];
     * *thermal*: heat flow [W] into the body, temperature rise [K];
     * *acoustic*: pressure [Pa] on the body, displaced volume [m^3];
-    * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
-      conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
-    * *input* and *output*: a signal in any units, in one direction. An input has no row of
-      C, an output no column of B.
+    * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and the
+      conjugate output (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
+    * *input* and *output*: a signal in any unit, in one direction. An input has no row of C, and an
+      output has no column of B.
 
-    ``across`` and ``flow`` are the meaning of 1 V and 1 A on the netlist pin, by default those of
-    its ``domain`` (:mod:`kc2spice.core.domains`). ``pins`` are the names of the netlist pins; empty
-    stands for ``(name,)``, or for ``(name, name_ret)`` of an electrical port.
+    ``across`` and ``flow`` are the quantities that 1 V and 1 A on the netlist pin represent; by
+    default, the quantities of the ``domain`` (:mod:`kc2spice.core.domains`). ``pins`` are the names
+    of the netlist pins: by default ``(name,)``, or ``(name, name_ret)`` for an electrical port.
     """
 
     name: str
@@ -116,16 +114,16 @@ class Port:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error estimate of a reduced model against the *full* model, and proofs of its properties.
+    """Error estimate of a reduced model with respect to the *full* model, and proven properties.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
-    the ``norm`` *pointwise* it is relative to the entry at every frequency, or to at least a
-    millionth of the entry's peak. In the norm *peak* it is relative to the entry's largest value in
-    the band. ``method`` names the estimator. ``above`` states differences beyond the band, which a
-    contact excites and which have no bound. The dictionary contains frequencies [Hz] and the
-    largest relative difference of the compliance of a mechanical port to a larger model.
-    ``stable`` applies to the full and the reduced model; None means that there is no proof.
-    ``passive`` means that both models are proven passive.
+    the ``norm`` *pointwise*, each error is divided by the size of the entry at this frequency, but
+    at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by the
+    entry's largest size in the band. ``method`` describes the estimator. ``above`` maps frequencies
+    [Hz] beyond the band, which a contact excites, to differences. Each is the largest relative
+    difference of the compliance of a mechanical port to a larger model. ``stable`` applies to the
+    full and the reduced model; None means that there is no proof. If ``passive`` is true, both
+    models are proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -156,30 +154,32 @@ class Certificate:
 class LinearModel:
     """Linear model ``M x'' + E x' + K x = B u``, ``y = C x + D u`` with ports.
 
-    In this form of second order, ``A`` is None. In the first order, ``E x' = A x + B u``, ``y = C x
-    + D u``, ``M`` and ``K`` are None. ``E x' + K x = B u``, the usual form of heat, becomes first
-    order with ``A = -K``.
+    ``A`` of this second-order model is None. A first-order model ``E x' = A x + B u``, ``y = C x +
+    D u`` has no ``M`` and ``K``. A heat model ``E x' + K x = B u`` becomes a first-order model with
+    ``A = -K``.
 
     ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
-    ``D`` (outputs, inputs) dense. All values have SI units and apply to the *whole* device. A
-    missing ``C`` is ``B'``, a missing ``D`` zero, a missing ``E`` zero in second order and one in
-    first order. ``rayleigh = (alpha, beta)`` replaces ``E`` by ``alpha M + beta K``. ``K`` (or
-    ``A``) may be a :class:`kc2spice.rom.pencil.Schur` complement, which eliminates massless
-    unknowns exactly without the dense result; see :func:`with_potentials`.
+    ``D`` (outputs, inputs) are dense. All values have SI units and apply to the *whole* device. A
+    missing ``C`` is ``B'``, and a missing ``D`` is zero. A missing ``E`` is zero in a second-order
+    model, and the unit matrix in a first-order model. ``rayleigh = (alpha, beta)`` replaces ``E``
+    by ``alpha M + beta K``. ``K`` (or ``A``) may be a Schur complement
+    (:class:`kc2spice.rom.pencil.Schur`), which eliminates massless unknowns exactly without a dense
+    matrix; see :func:`with_potentials`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
     follow the same order (an input has no row, an output no column). By default, the ports are
     signals ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
-    A complex K contains structural damping: K is its real part. ``loss_factor`` is eta of ``K (1 +
-    j eta)``, and may be stated instead. ``loss`` is any other imaginary part, such as that of
-    several materials, symmetric and positive semi-definite. A model with structural damping has a
-    frequency response; only :func:`kc2spice.reduce` converts it to a circuit.
+    A complex K contains structural damping; the model then stores only the real part as ``K``. The
+    imaginary part is ``loss_factor`` times K, or a symmetric positive semi-definite matrix
+    ``loss``, for example of several materials. A model with structural damping has only a frequency
+    response; :func:`kc2spice.reduce` converts it to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
-    requires; None if it is unknown. ``basis`` (n, states) contains the unknowns of the full-order
-    model per state of a reduced-order one, for :meth:`reconstruct`; files do not contain it.
+    requires, None if it is unknown. In a reduced model, the columns of ``basis`` (n, states) are
+    the states in unknowns of the full-order model, for :meth:`reconstruct`; files do not contain
+    them.
 
     Raises
     ------
@@ -205,7 +205,7 @@ class LinearModel:
     basis: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        # the dataclass is frozen, so the constructor sets attributes in this way
+        # the dataclass is frozen, so the constructor cannot assign attributes directly
         put = object.__setattr__
         _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
@@ -264,7 +264,7 @@ class LinearModel:
 
     @property
     def order(self) -> int:
-        """Number n of unknowns (second-order states in second order)."""
+        """Number n of unknowns; a second-order model has 2 n states."""
         return int(self.B.shape[0])
 
     @property
@@ -274,7 +274,7 @@ class LinearModel:
 
     @property
     def first_order(self) -> bool:
-        """Whether the model is ``E x' = A x + B u``."""
+        """Whether the model is a first-order model, ``E x' = A x + B u``."""
         return self.A is not None
 
     @property
@@ -289,7 +289,7 @@ class LinearModel:
 
     @cached_property
     def pencil(self) -> Pencil:
-        """The model as one polynomial in s, for solvers."""
+        """Model as one matrix polynomial in s, for solvers."""
         if self.first_order:
             return Pencil((negate(self.A), self.E), self.B, self.C, self.D)
         return Pencil((self.K, self.E, self.M), self.B, self.C, self.D, self.rayleigh)
@@ -300,10 +300,11 @@ class LinearModel:
         return self.pencil.symmetric and self.pencil.collocated
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """``H(j 2 pi f)`` (frequencies, outputs, inputs) complex: y per u in SI.
+        """Compute the complex response ``H(j 2 pi f)`` (frequencies, outputs, inputs) in SI units.
 
-        Displacement per force and charge per voltage; times ``s`` they are velocities and
-        currents. Sparse models need one factorisation for each frequency.
+        Entries are outputs per input, such as displacement per force and charge per voltage.
+        Multiplied by ``s``, they are velocities and currents. Sparse models need one factorisation
+        for each frequency.
 
         Parameters
         ----------
@@ -338,12 +339,12 @@ class LinearModel:
         return pencil.transfer(2j * np.pi * _require_frequencies(frequency))
 
     def reconstruct(self, states: np.ndarray) -> np.ndarray:
-        """Return unknowns of the full-order model for states of this reduced one.
+        """Compute the unknowns of the full-order model from states of this reduced model.
 
         Parameters
         ----------
         states : (states,) or (states, ...) array
-            States, real or complex, in the coordinates of K (second order) or of A (first order).
+            Real or complex states: the unknowns of K (second-order model) or A (first-order model).
 
         Returns
         -------
@@ -352,11 +353,11 @@ class LinearModel:
 
         Raises
         ------
-        UsageError : the basis is not known, or the states do not fit.
+        UsageError : the model contains no basis, or the states have a wrong shape.
 
         Examples
         --------
-        The static shape of four springs in series, each 1 mm longer, from two states.
+        Two states give the static displacements of four springs in series, each stretched by 1 mm.
 
         >>> import kc2spice as kc
         >>> K = 1e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
@@ -388,13 +389,15 @@ class LinearModel:
         """Compute all finite poles [1/s], complex.
 
         The computation uses dense matrices and suits models of up to a few thousand unknowns.
-
-        Structural damping has no such form and is omitted.
+        Structural damping is ignored, because no poles represent it exactly.
         """
         return self.pencil.poles()
 
     def state_space(self) -> ABCD:
-        """Arrays A, B, C, D without E; see :func:`kc2spice.rom.state_space.state_space`."""
+        """Return arrays A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
+
+        See :func:`kc2spice.rom.state_space.state_space`.
+        """
         if self.structural:
             raise self._without_states()
         known = self.certificate
@@ -409,18 +412,18 @@ class LinearModel:
         )
 
     def to_statespace(self) -> StateSpace:
-        """scipy's ``x' = A x + B u``, ``y = C x + D u``; see :meth:`state_space`."""
-        from scipy.signal import StateSpace  # a second to import
+        """Return the model as ``scipy.signal.StateSpace``; see :meth:`state_space`."""
+        from scipy.signal import StateSpace  # the import takes a second
 
         return StateSpace(*self.state_space())
 
     def to_pymor(self) -> Any:
-        """pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
+        """Return pyMOR's ``SecondOrderModel`` or ``LTIModel`` with the same matrices.
 
         Raises
         ------
         MissingToolError : pyMOR is not installed.
-        UsageError : structural damping, which has no such form.
+        UsageError : the model has structural damping, which these classes cannot represent.
         """
         if self.structural:
             raise self._without_states()
@@ -431,7 +434,7 @@ class LinearModel:
         return models.SecondOrderModel.from_matrices(*letters, Cp=self.C, D=self.D)
 
     def select(self, names: Sequence[str]) -> LinearModel:
-        """The same model with only the ports ``names``; all other ports are left open.
+        """Return the model with only the ports ``names``; all other ports are left open.
 
         Raises
         ------
@@ -448,7 +451,7 @@ class LinearModel:
         return self.copy_with(B=B, C=C, D=D, ports=ports)
 
     def copy_with(self, **changes: Any) -> LinearModel:
-        """Return a copy with other attributes but the same K, whose factors both models share."""
+        """Return a copy with changed attributes and the same K; both models share factors of K."""
         result = replace(self, **changes)
         self.pencil.share_factors(result.pencil)
         return result
@@ -465,7 +468,7 @@ class LinearModel:
         return text
 
     def _repr_html_(self) -> str:
-        """Return the table of a notebook in HTML."""
+        """Return an HTML table of the model for notebooks."""
         from html import escape
 
         rows = "".join(
@@ -490,10 +493,10 @@ def with_potentials(
     k_pV: np.ndarray | None = None,
     **others: Any,
 ) -> LinearModel:
-    """Voltage-driven piezoelectric model with its free potentials eliminated exactly.
+    """Make a voltage-driven piezoelectric model, and eliminate its free potentials exactly.
 
-    With displacements ``u`` (n), free massless potentials ``p`` (m, may be none) and the voltages
-    ``V`` (e) of the driven electrodes::
+    The unknowns are displacements ``u`` (n), free massless potentials ``p`` (m, possibly none) and
+    the voltages ``V`` (e) of the driven electrodes. The model::
 
         M u'' + E u' + K_uu u + K_up p + k_uV V = B f
                         K_up' u - K_pp p - k_pV V = 0
@@ -501,22 +504,21 @@ def with_potentials(
 
     becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
     ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and
-    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. A projection of ``[u; p]`` without this elimination is an
-    indefinite problem, whose reduced models can be unstable (cf. paper 2.3, references 47 to 49).
+    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. Without this elimination, the model with the unknowns ``[u;
+    p]`` is indefinite, and its reduced models can be unstable (paper 2.3, references 47 to 49).
 
     Parameters
     ----------
-    B : (n, mechanical ports), in the order of the ports that are not electrical.
-    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e) in the order of the electrical ports; one
-        electrode may leave the second dimension out.
-    ports : all ports in any order.
-    others : arguments of :class:`LinearModel`; ``rayleigh`` refers to the condensed K, none by
-    default.
+    B : (n, mechanical ports), with columns in the sequence of the ports that are not electrical.
+    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e), with columns in the sequence of the electrical
+        ports; the second dimension may be missing for a single electrode.
+    ports : all ports in any sequence.
+    others : arguments of :class:`LinearModel`; ``rayleigh`` applies to K after the elimination.
 
     Raises
     ------
-    UsageError : shapes that do not fit.
-    SimulationError : a potential is not determined: K_pp is singular.
+    UsageError : the shapes of the matrices do not match.
+    SimulationError : a potential is not determined, because K_pp is singular.
     """
     k_uV = np.asarray(k_uV, dtype=float).reshape(len(B), -1)
     electrodes = k_uV.shape[1]
@@ -560,19 +562,19 @@ def make_linear_model(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> L
 
 
 def negate(matrix: Matrix) -> Matrix:
-    """``-matrix``, of a Schur complement too."""
+    """Return ``-matrix`` for a matrix or a Schur complement."""
     if isinstance(matrix, Schur):
         return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
     return -matrix
 
 
 _INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
-# deviation, relative to K, up to which the imaginary part counts as eta times K
+# largest difference, relative to K, of an imaginary part that counts as eta times K
 LOSS_FACTOR_TOLERANCE = 1e-9
 
 
 def _set_structural(model: LinearModel) -> None:
-    """Split a complex K into its real part and its loss, and check the loss."""
+    """Split a complex K of a model into its real part and its loss, and check the loss."""
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
         if model.structural:
@@ -595,14 +597,14 @@ def _set_structural(model: LinearModel) -> None:
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
-    """Return the imaginary part of a stiffness and its loss factor.
+    """Return the imaginary part of a stiffness K, or the loss factor.
 
-    The imaginary part has the storage format of K. The imaginary part is None if it is a multiple
-    of K; the loss factor describes it then.
+    If the imaginary part is a multiple of K, it is None and the loss factor is this multiple.
+    Otherwise, the imaginary part has the storage format of K.
     """
     if K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")
-    if isinstance(K, Schur):  # the part of the potentials has no loss
+    if isinstance(K, Schur):  # the potentials have no loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
             raise _structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
         return scipy.sparse.csc_array(loss), 0.0
@@ -623,7 +625,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
 
 
 def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
-    """Error for invalid structural damping."""
+    """Make the error for invalid structural damping."""
     return UsageError(
         f"{what} is not a valid structural damping",
         where=where,
@@ -634,9 +636,9 @@ def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> Usag
 
 
 def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Reject a square C of an undamped model, which may be its damping matrix.
+    """Reject a square C of an undamped second-order model that may be its damping matrix.
 
-    The model is of second order, and rows of C are coupled.
+    Rows of such a C couple several unknowns.
     """
     if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
         return
@@ -652,7 +654,7 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
 
 
 def stores_one_triangle(matrix: Matrix) -> bool:
-    """Whether only one triangle of a matrix has entries outside of the diagonal."""
+    """Return whether only one triangle of a matrix has entries outside of the diagonal."""
     if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False
     entries = scipy.sparse.coo_array(matrix)
@@ -730,7 +732,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
 
 
 def _require_heat(model: LinearModel) -> None:
-    """Reject thermal ports together with other ports, or on a model of second order."""
+    """Reject thermal ports together with other ports, or in a second-order model."""
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(
@@ -744,16 +746,16 @@ def _require_heat(model: LinearModel) -> None:
 
 
 def _describe_entries(data: np.ndarray) -> str:
-    """Return what a matrix contains besides real, finite numbers."""
+    """Describe the entries of a matrix that are not real, finite numbers."""
     if data.dtype.kind == "c":
         return "complex numbers"
     return "NaN or infinity" if data.dtype.kind in "fiub" else f"entries of type {data.dtype}"
 
 
 def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
-    """Convert a matrix to real numbers, as an array unless it may be ``sparse``.
+    """Convert a matrix to real numbers; the result is dense unless ``sparse`` is true.
 
-    None remains None.
+    If the matrix is None, the result is None.
     """
     if matrix is None:
         return None
@@ -761,7 +763,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
         for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
             _convert_matrix(part, letter, where)
         return matrix
-    if not isinstance(matrix, np.ndarray):  # asks scipy last
+    if not isinstance(matrix, np.ndarray):  # the check by scipy is slow, so it is last
         sparse_input = scipy.sparse.issparse(matrix)
         matrix = (
             matrix.toarray()

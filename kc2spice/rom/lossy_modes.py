@@ -5,18 +5,18 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
 
     d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
 
-approximates it by a spring, a dashpot, springs in series with dampers, and a mass. A dashpot
-``v = h / w_j`` alone is exact at the resonance ``w_j``; its loss grows with frequency, so that the
-flanks of the resonance differ by a quarter of the loss factor ``eta = h / k``, relative to the
-peak. With one relaxation of rate ``w_j`` the loss is constant near the resonance, and a slightly
-larger mass compensates the increase of stiffness that causality requires: value and slope of the
-dynamic stiffness are exact,
+approximates this dynamic stiffness by a spring, a dashpot, springs in series with dampers, and a
+mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. Its loss increases with
+frequency, so that the response beside the resonance has an error of a quarter of the loss factor
+``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss is constant
+near the resonance. By causality, the stiffness then increases with frequency, which a slightly
+larger mass compensates. Value and slope of the dynamic stiffness are exact with
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
-and the remaining difference is of the order of ``eta^2``. Coefficients are non-negative least
-squares with weights of Lawson's minimax fit. A response far below all resonances keeps a
-difference of the order of ``eta``: no real model has a complex response at zero frequency.
+and the remaining error is about ``eta^2``. The coefficients are computed by non-negative least
+squares with the weights of Lawson's minimax fit. Far below all resonances, an error of about
+``eta`` remains, because no real model has a complex response at zero frequency.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-WEIGHT_UPDATES = 10  # updates of the weights
-MIN_WEIGHT_FACTOR = 0.02  # factor of a weight where the error is small
-MIN_AMPLITUDE = 1e-12  # smallest amplitude of a used relaxation, relative to the largest
+WEIGHT_UPDATES = 10  # number of updates of the weights
+MIN_WEIGHT_FACTOR = 0.02  # smallest factor of a weight in an update, where the error is small
+MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the largest amplitude
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillator:
-    """A passive oscillator whose dynamic stiffness is the formula of this module.
+    """Passive oscillator with the dynamic stiffness ``d(s)`` of the module docstring.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class Oscillator:
     rates: np.ndarray
 
     def __call__(self, s: np.ndarray) -> np.ndarray:
-        """Dynamic stiffness (n,) at the Laplace variable ``s`` (n,) [1/s]."""
+        """Return the dynamic stiffness (n,) at the Laplace variable ``s`` (n,) [1/s]."""
         relaxed = (self.amplitudes * s[:, None] / (s[:, None] + self.rates)).sum(axis=1)
         return np.asarray(self.spring + self.dashpot * s + self.mass * s**2 + relaxed)
 
 
 def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
-    """The oscillator with a dashpot that is exact at its resonance.
+    """Make the oscillator with a dashpot whose dynamic stiffness is exact at its resonance.
 
     Examples
     --------
@@ -72,7 +72,9 @@ def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 def relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
-    """Fit an oscillator with these rates to minimise the largest weighted difference.
+    """Fit an oscillator with given rates to a dynamic stiffness.
+
+    The fit minimises the largest weighted difference.
 
     Parameters
     ----------
@@ -110,12 +112,10 @@ def relaxing_oscillator(
 def assemble_oscillators(
     modes: Sequence[Oscillator], damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble symmetric K, E, M of oscillators with a viscous ``damping``.
+    """Assemble symmetric K, E, M of oscillators, and add a viscous ``damping`` (modes, modes).
 
-    The damping matrix has the shape (modes, modes).
-
-    Each relaxation is one more unknown without mass, the displacement between its spring and its
-    damper; these unknowns follow the modes.
+    Each relaxation is an additional unknown without mass: the displacement between its spring and
+    its damper. These unknowns are numbered after the modes.
     """
     springs = np.array([mode.spring + mode.amplitudes.sum() for mode in modes])
     owner = np.repeat(np.arange(len(modes)), [mode.rates.size for mode in modes])

@@ -1,4 +1,4 @@
-"""Matrices of heat models as sums of terms with powers of parameters as factors.
+"""Matrices of heat models as sums of terms, whose factors are powers of parameters.
 
 The conductances of a body are proportional to conductivities and film coefficients, and inversely
 proportional to thicknesses and resistances of joints. The heat capacities of a body are
@@ -6,8 +6,8 @@ proportional to densities. The matrices E and K over ranges of parameters are th
 
     K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
 
-with constant scales s_k. The terms follow from full models at a few values of the parameters, which
-determine the sum.
+with constant scales s_k. The matrices K_t are computed from full models at a few values of the
+parameters.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
 
-# Powers of a parameter in the terms: the first powers that represent the matrices are used. A
-# range that begins at zero has no reciprocal.
+# Candidates for the powers of a parameter. The first candidate that represents the matrices is
+# used. A parameter that may be zero has no power -1.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
-PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of powers
+PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates, keyed by number of powers
 CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
 EXACT = 1e-9  # largest relative rounding error of an entry
-NEGLIGIBLE = 1e-12  # share of an entry below which a term is a rounding error
+NEGLIGIBLE = 1e-12  # largest share of a term in an entry that is a rounding error
 LETTERS = "EK"
 
 _Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
@@ -39,10 +39,11 @@ _Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
 
 @dataclass(frozen=True, eq=False)
 class MatrixTerms:
-    """Terms of E and K, with the constant matrix B.
+    """Terms of the matrices E and K of a heat model.
 
-    ``powers`` (terms, axes) are the exponents of each factor and ``scales`` (axes,) the values of
-    the parameters at which all factors are one. ``E`` and ``K`` contain one matrix for each term.
+    ``powers`` (terms, axes) are the exponents of the parameters in each factor. All factors are one
+    if the parameters have the values ``scales`` (axes,). ``E`` and ``K`` contain one matrix for
+    each term.
     """
 
     axes: tuple[ParameterAxis, ...]
@@ -52,22 +53,22 @@ class MatrixTerms:
     K: tuple[Any, ...]
 
     def factors(self, values: Values) -> np.ndarray:
-        """Factors (terms,) at values of all parameters."""
+        """Return the factors (terms,) for values of all parameters."""
         return compute_factors(self.powers, [values[a.name] for a in self.axes] / self.scales)
 
     def at(self, values: Values) -> dict[str, Any]:
-        """E and K at values of all parameters."""
+        """Return E and K for values of all parameters."""
         factors = self.factors(values)
         return {letter: sum_products(factors, getattr(self, letter)) for letter in LETTERS}
 
 
 def compute_factors(powers: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return the products of powers (terms,) of the parameters relative to their scales (axes,)."""
+    """Return products (terms,) of powers of ``shares`` (axes,): parameters divided by scales."""
     return np.asarray(np.prod(np.asarray(shares, dtype=float) ** powers, axis=1))
 
 
 def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
-    """Return the sum of matrices with factors."""
+    """Return the sum of the products of factors and matrices."""
     first, *others = (f * matrix for f, matrix in zip(factors, matrices, strict=True))
     return sum(others, start=first)
 
@@ -79,7 +80,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
     Raises
     ------
-    UsageError : the matrices are not such a sum, or a parameter changes B or the number of
+    UsageError : the matrices are not sums of such terms, or a parameter changes B or the number of
     unknowns.
     """
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
@@ -97,7 +98,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         return {"E": E, "K": K}
 
     def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
-        """Return the terms with all products of a choice of powers for each axis."""
+        """Return the terms with all products of the chosen powers of each parameter."""
         powers = np.array([*product(*choice)], dtype=int).reshape(-1, len(axes))
         places = [*product(*(PLACES[len(item)] for item in choice))]
         rows = []
@@ -116,7 +117,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
 
     def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
-        """Return whether the sum equals the full model at these coordinates."""
+        """Return whether the sum of the terms equals the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
         ours = terms.at({axis.name: axis.value(x) for axis, x in pairs})
         for letter, matrix in matrices_at(coordinates).items():
@@ -145,7 +146,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Remove entries that are rounding errors, relative to the same entry of other terms."""
+    """Remove entries of terms that are rounding errors compared with other terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):

@@ -1,14 +1,14 @@
-"""Symmetric models as decoupled resonators, with their tables of modes.
+"""Symmetric models as decoupled resonators, and their tables of modes.
 
-The table contains frequency, Q and the shares of ports. Exact responses to recorded loads follow
-from the resonators.
+A table of modes contains the frequency, the Q factor and the coupling to the ports of each mode.
+The resonators also give exact responses to recorded loads.
 
 Residual modes without inertia
-    A reduced model keeps the compliance of its ports exact by some stiff modes far above its band.
-    The body does not have these modes. In series with the stiffness of a contact, their inertia
-    causes oscillations that the body does not have. Component mode synthesis with a massless
-    boundary omits the inertia and keeps compliance and damping (Monjaraz Tec, Gross and Krack 2021,
-    arXiv 2111.07693)::
+    In a reduced model, some stiff modes far above the band make the compliance of the ports exact.
+    The body does not have these modes. In series with the stiffness of a contact, the inertia of
+    these modes causes oscillations that the body does not have. Component mode synthesis with a
+    massless boundary omits the inertia, but not compliance and damping (Monjaraz Tec, Gross and
+    Krack 2021, arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
@@ -18,18 +18,20 @@ A constant loss tangent of the dielectric
 
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
-    the frequency at which data sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
-    sum_k a_k / (1 + s t_k)``, all ``a_k >= 0``, of a capacitor and series R C, passive by its form,
-    whose amplitudes are non-negative least squares over the band. This factor multiplies the
-    clamped capacitances D. Data sheets state the tangent of the free part at 1 kHz. Its
-    capacitance is ``D + C_m`` with the motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2``,
-    which has no loss far below the resonances. With ``tan delta`` of the free part the clamped
-    angle theta follows from
+    Data sheets give permittivities at the frequency w0 / (2 pi). A netlist contains Foster's sum
+    ``a_0 + sum_k a_k / (1 + s t_k)``: a capacitor in parallel with branches of R and C in series.
+    All ``a_k`` are at least zero, so the sum is passive. Non-negative least squares over the band
+    determine the ``a_k``. The sum multiplies the clamped capacitances D.
+
+    Data sheets give the loss tangent of the free part at 1 kHz. The capacitance of the free part is
+    ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no loss far below
+    the resonances. The loss angle theta of the clamped part follows from ``tan delta`` of the free
+    part:
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
-    The effect of the loss on the stiffness by internal fields is neglected. This effect is tan
-    delta times the share of the electric energy at constant charge in a mode.
+    The loss also changes the stiffness, because deformation causes electric fields. This effect is
+    neglected. It is tan delta times the share of the electric energy at constant charge in a mode.
 """
 
 from __future__ import annotations
@@ -48,10 +50,10 @@ from kc2spice.rom.error_estimate import ErrorEstimator, errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
-# Proportional damping is exact by construction; larger coupling indicates another damping.
+# Largest coupling of modes by proportional damping; larger coupling indicates other damping.
 MAX_MODAL_COUPLING = 1e-8
-LISTED_MODES = 20  # modes in a table, the lowest
-# frequency of a rigid-body mode (rounding error), relative to the end of the band
+LISTED_MODES = 20  # largest number of modes in a table
+# largest frequency of a rigid-body mode by rounding errors, relative to the end of the band
 ZERO_FREQUENCY_RATIO = 1e-5
 COMPLIANCE_UNITS = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
 
@@ -62,10 +64,10 @@ class Resonators(EqualByContent):
 
     The outputs are ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
-    ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). ``m_j`` is one,
-    but zero of the last ``massless`` states, which relax within ``damp_j / omega_j^2``. The form is
-    reciprocal, stable if ``damp >= 0``, and passive if ``D`` is positive semi-definite. For an
-    electrical port u is the voltage and y the charge.
+    The arrays are ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), and ``D`` (p, p).
+    ``m_j`` is zero for the last ``massless`` modes, whose time constant is ``damp_j / omega_j^2``,
+    and one for all other modes. The model is reciprocal, stable if ``damp >= 0``, and passive if
+    ``D`` is positive semi-definite. For an electrical port, u is the voltage and y the charge.
     """
 
     omega: np.ndarray
@@ -78,19 +80,19 @@ class Resonators(EqualByContent):
 
     @property
     def order(self) -> int:
-        """Number of states: a displacement and a velocity for each mode.
+        """Number of states: a displacement and a velocity of each mode.
 
-        A mode without inertia has a displacement only.
+        A mode without inertia has only a displacement.
         """
         return self.omega.size
 
     @property
     def inertia(self) -> np.ndarray:
-        """(q,) ``m_j``: 1 or 0."""
+        """Factors ``m_j`` (q,) of the inertia: 1, or 0 for modes without inertia."""
         return (np.arange(self.order) < self.order - self.massless).astype(float)
 
     def linear(self) -> LinearModel:
-        """The same model as matrices; :func:`resonators` inverts this conversion exactly."""
+        """Return the model as a :class:`LinearModel`; :func:`resonators` is the exact inverse."""
         return LinearModel(
             M=np.diag(self.inertia),
             E=np.diag(self.damp),
@@ -103,12 +105,10 @@ class Resonators(EqualByContent):
 
 
 def resonators(rom: LinearModel) -> Resonators | None:
-    """Compute mass-normalised modes of the symmetric pair (K, M).
+    """Compute the mass-normalised modes of a model with symmetric K and M.
 
     The result is None if M or K is not positive definite, if C is not B', or if damping couples
-    modes.
-
-    The equation is ``M phi = mu K phi``, because K has the better condition.
+    modes. The eigenvalue problem is ``M phi = mu K phi``, because K is better conditioned.
     """
     if rom.first_order or not rom.symmetric:
         return None
@@ -139,7 +139,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
         return None
     gain = phi.T @ rom.B
-    # The sign of a mode is arbitrary; this choice gives the same netlist on every machine.
+    # The sign of a mode is arbitrary. With this choice, the netlist is the same on every machine.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
@@ -147,18 +147,19 @@ def resonators(rom: LinearModel) -> Resonators | None:
 def mode_table(model: LinearModel) -> dict[str, Any] | None:
     """List the modes with all electrodes shorted and no load.
 
-    The table ends at the end of the certificate's band. Each of ``modes`` has ``frequency_hz``,
-    ``quality`` (None if undamped) and ``couplings`` by port, in ``units``.
+    The table ends at the end of the certificate's band. Each item of ``modes`` has
+    ``frequency_hz``, ``quality`` (the Q factor, None if undamped), and ``couplings``, which maps
+    each port to its coupling in the unit from ``units``.
 
-    The coupling of an electrical port is the effective factor ``k = sqrt(C_j / (C_j + C_above))``.
-    The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and ``C_above`` is
-    the capacitance of all higher modes and of the clamped body. For a mode far from all other
-    modes, ``k^2 = 1 - (f_r / f_a)^2``. The coupling of any other port is the static share
-    ``gain_j^2 / omega_j^2``.
+    The coupling of an electrical port is the effective coupling factor ``k = sqrt(C_j / (C_j +
+    C_above))``. The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and
+    ``C_above`` is the capacitance of all higher modes and of the clamped body. For a mode far from
+    all other modes, ``k^2 = 1 - (f_r / f_a)^2``. The coupling of any other port is ``gain_j^2 /
+    omega_j^2``: the contribution of the mode to the static response of the port.
 
-    If damping couples modes, the modes belong to the poles, and ``omega_j`` is the magnitude of a
-    pole. Motions without stiffness are omitted. The result is None for a model of first order,
-    and for a model with signals as ports.
+    If damping couples modes, each pair of complex poles is a mode, and ``omega_j`` is the magnitude
+    of the pole. Motions without stiffness are omitted. The result is None for a first-order model,
+    and for a model whose ports are signals.
     """
     result = _modal_data(model)
     if result is None:
@@ -187,9 +188,9 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 
 
 def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return ``omega`` and ``damp`` (modes,), shares of ports, and the direct term.
+    """Return ``omega`` and ``damp`` (modes,), static contributions, and the direct term.
 
-    The shares are (modes, ports).
+    The static contributions ``gain^2 / omega^2`` of the modes to the ports are (modes, ports).
     """
     result = resonators(model)
     if result is None:
@@ -203,10 +204,10 @@ def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 def _modal_data_by_poles(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the data of :func:`_modal_data` by poles of ``M x'' + E x' + K x``.
+    """Return the results of :func:`_modal_data` for the poles of ``M x'' + E x' + K x``.
 
-    The share of a port is ``-2 Re(residue / pole)`` of its own transfer function, which is ``gain^2
-    / omega^2`` of decoupled modes.
+    The static contribution of a pole to a port is ``-2 Re(residue / pole)`` of the port's driving-
+    point response. For decoupled modes, it equals ``gain^2 / omega^2``.
     """
     if model.first_order or not all(port.conservative for port in model.ports):
         return None
@@ -228,35 +229,39 @@ def _modal_data_by_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-# change of a response at the end of the band if modes become massless, relative to the static
-# compliance
+# largest change of a response at the end of the band if modes become massless, relative to the
+# static compliance
 MASSLESS_ERROR = 1e-3
-# The same limit if the lowest omitted mode rings, with a damping ratio below MAX_RINGING_RATIO.
-# Such modes depend on the mesh, ring for hundreds of periods, and determine the time steps after a
-# lightly damped kick. Without them, launches of a chip with 0.01 % damping change by 1.2e-3, a
-# quarter of their difference to a finer model and towards it, with a third of the time points.
+# The same limit if the lowest massless mode has a damping ratio below MAX_RINGING_RATIO. Such modes
+# depend on the mesh, ring for hundreds of periods, and determine the time steps after a kick. If
+# they are massless, launches of a chip with 0.01 % damping need a third of the time points. The
+# launches change by 1.2e-3 towards those of a finer model, a quarter of the difference to it.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
-# frequency of a massless mode, relative to the end of the band; lower modes do not respond
-# instantaneously
+# smallest frequency of a mode that becomes massless, relative to the end of the band; lower modes
+# do not respond instantaneously
 MIN_FREQUENCY_RATIO = 2.0
 EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of equal relaxation times
-# relative limit of a zero singular value: no port moves this combination of modes
+# largest relative singular value that counts as zero: no port moves this combination of modes
 ZERO_SINGULAR_VALUE = 1e-12
 
 
 def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
-    """Replace the highest modes of a model by states without inertia. The error in the certificate
-    of the model increases accordingly. Modes are replaced from the highest one down, as long as
+    """Replace the highest modes of a model by states without inertia.
 
-    * the inertia that is left out changes the response of every mechanical port at the end f of the
-      certificate's band by less than ``MASSLESS_ERROR`` of its static compliance, ``sum_j (g_j /
-      w_j)^2 (f / f_j)^2`` (``RINGING_ERROR`` if the lowest of these modes would ring),
-    * and the error estimate is within ``tolerance``.
+    The certificate of the result includes the additional error. Modes are replaced one after
+    another, beginning with the highest mode. The replacement ends when one of these conditions is
+    violated:
 
-    The static response remains exact, and the model passive. Modes with one relaxation time, as all
-    modes with damping proportional to stiffness, become as many states as ports move independently.
-    These states have no effect on an acceleration port.
+    * At the end f of the band, the omitted inertia changes the response of every mechanical port by
+      less than ``MASSLESS_ERROR`` of the static compliance. The change is ``sum_j (g_j / w_j)^2 (f
+      / f_j)^2``. The limit is ``RINGING_ERROR`` if the lowest massless mode would ring.
+    * The error estimate is within ``tolerance``.
+
+    The static response remains exact, and the model remains passive. Modes with equal relaxation
+    times are merged to as many states as there are independent ports. For example, all modes have
+    equal relaxation times if damping is proportional to stiffness. The states without inertia have
+    no effect on an acceleration port.
     """
     certificate = model.certificate
     if certificate is None:
@@ -330,7 +335,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     )
 
 
-_BLOCK_STEPS = 4096  # steps whose propagators are in memory at a time
+_BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory together
 
 
 def chip_response(
@@ -341,13 +346,14 @@ def chip_response(
     The ``load`` (n, ports) is in N into the chip and in V, and is linear between the times ``t``
     (n,). The outputs (n, ports) are in m and C, the stored energy (n,) is in J.
 
-    Each mode ``z'' + d z' + w^2 z = r`` is split by its roots a, b into two states
+    Each mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each root, one state is
+    integrated:
 
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
-    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``. The
-    formulas are exact for piecewise linear loads at any step. A mode without inertia is a single
-    state of this form. The chip starts in equilibrium with ``load[0]``.
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``. The displacement is ``z = (x_a -
+    x_b)/(a - b)``. The formulas are exact for piecewise linear loads at any step. A mode without
+    inertia has only one state. The chip starts in equilibrium with ``load[0]``.
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -373,7 +379,7 @@ def integrate_modes(
     The results are displacements and rates (n, modes). ``drive`` is linear between the times.
     """
     a, b = _oscillator_roots(omega, damp)
-    if (b == a.conj()).all():  # then x_b is the conjugate of x_a
+    if (b == a.conj()).all():  # then x_b is the complex conjugate of x_a
         x_a = integrate_roots(a, t, drive)
         x_b = x_a.conj()
     else:
@@ -383,10 +389,10 @@ def integrate_modes(
 
 
 def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """(n, roots) of ``x' = a x + r`` from equilibrium.
+    """Integrate ``x' = a x + r`` from equilibrium for each root a; the result is (n, roots).
 
-    Groups of steps are integrated in parallel from zero; then each group is shifted to the end of
-    the group before.
+    Groups of steps are integrated in parallel from zero. Then the free response to the last value
+    of the previous group is added to each group.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots
@@ -410,14 +416,15 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
 
 
 def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roots of ``s^2 + damp s + omega^2``.
+    """Return the roots of ``s^2 + damp s + omega^2``.
 
-    Equal roots are separated by 1e-4 of omega.
+    Equal roots are replaced by roots that differ by 1e-4 of omega.
     """
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
     fast = -damp / 2 - half
-    # the sum of both roots would lose the slow root of a strongly damped mode
+    # The product of the roots gives the second root. Their sum would be inaccurate for the slow
+    # root of a strongly damped mode.
     return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 
@@ -435,28 +442,28 @@ def _step_propagators(
     return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
 
 
-TANGENT_FREQUENCY = 1e3  # Hz; frequency of the loss tangent
-DEFAULT_DECADES = 4.0  # decades of a band that begins at zero
+TANGENT_FREQUENCY = 1e3  # Hz; frequency at which data sheets give the loss tangent
+DEFAULT_DECADES = 4.0  # number of decades over which a sum is fitted if the band begins at zero
 POINTS_PER_DECADE = 30
-MAX_RELAXATIONS = 6  # relaxations per decade
-LOSS_ERROR_SHARE = 0.02  # error of the sum, relative to the loss tangent, which is at most 0.01
+MAX_RELAXATIONS = 6  # largest number of relaxations per decade
+LOSS_ERROR_SHARE = 0.02  # error of the sum, relative to the loss tangent; the tangent is <= 0.01
 
 
 def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
-    """``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
+    """Return the relative permittivity change ``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
     m = 2 / np.pi * np.arctan(tangent)
     return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
 
 
 def clamped_tangent(tangent: float, ratio: float) -> float:
-    """Loss tangent of a clamped body whose free capacitance has the ``tangent``.
+    """Compute the loss tangent of a clamped body from the loss ``tangent`` of the free body.
 
-    Both loss tangents hold at 1 kHz.
+    Both loss tangents are at 1 kHz.
 
     Parameters
     ----------
     tangent : float
-        tan delta of the free body, as data sheets state it.
+        Loss tangent, tan delta, of the free body, as in data sheets.
     ratio : float
         Ratio of motional to clamped capacitance at zero frequency, ``C_m / D``.
 
@@ -483,10 +490,11 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
 def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit a sum with the fewest terms ``a_k / (1 + s t_k)`` to :func:`permittivity` in the band.
+    """Fit the shortest sum of terms ``a_k / (1 + s t_k)`` to :func:`permittivity` in the band.
 
     The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
-    difference. The error is at most ``error``, or the smallest possible error.
+    error of the sum. If no sum has an error of at most ``error``, the most accurate sum is
+    returned.
     """
     low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
@@ -509,11 +517,11 @@ def fit_foster_network(
 
 
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
-    """Add a loss tangent of the free body at 1 kHz to a model.
+    """Add dielectric loss to a model; ``tangent`` is the loss tangent of the free body at 1 kHz.
 
     The loss tangent is constant in the band of the certificate, whose error includes the error of
-    the sum. The motional and the clamped capacitance are sums over all electrodes; each value
-    applies with all other electrodes shorted.
+    the loss tangent. The motional and the clamped capacitance are sums over all electrodes. The
+    values of each electrode apply with all other electrodes shorted.
 
     Raises
     ------

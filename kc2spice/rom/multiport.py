@@ -1,17 +1,18 @@
 """Fit of a passive state space to a measured multiport by vector fitting.
 
-Scattering parameters S of a reference resistance R are fitted by common poles: a few steps of
-vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does
-it) and nonlinear least squares from there, whose minimum does not depend on rounding. Poles are
-added until the remaining deviation is the noise of the data. The nearest passive model of the same
-poles follows by the bounded real lemma; the Hamiltonian of the state space, which covers all
-frequencies, checks it (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals Systems 2
-(1989) 207). With ``b = S a``, ``a, b = (v / r +- r i) / 2``, ``r = sqrt(R)``::
+Scattering parameters S for a reference resistance R are fitted with poles that all entries share.
+First, scikit-rf makes a few iterations of vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans.
+Power Delivery 14 (1999) 1052). Then the poles are refined by nonlinear least squares, whose minimum
+does not depend on rounding errors. Poles are added until the deviation equals the noise of the
+data. The nearest passive model with the same poles is computed by the bounded real lemma. The
+Hamiltonian of the state space checks passivity at all frequencies (S. Boyd, V. Balakrishnan, P.
+Kabamba, Math. Control Signals Systems 2 (1989) 207). With the waves ``b = S a``, ``a, b = (v / r +-
+r i) / 2`` and ``r = sqrt(R)``, the state space is::
 
     x' = A x + B a            v / r = C x + (1 + D) a
     b  = C x + D a            i = (2 a - v / r) / r
 
-whose charge is the output of an electrical port: a resistance at zero frequency integrates.
+The output of an electrical port is a charge, the integral of i.
 """
 
 from __future__ import annotations
@@ -32,44 +33,46 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit_pencil
 from kc2spice.rom.state_space import ABCD
 
-# iterations of vector fitting; more would amplify rounding, so least squares follow
+# number of iterations of vector fitting; further iterations would amplify rounding errors
 FITTING_ITERATIONS = 6
-MAX_EVALUATIONS = 60  # evaluations of least squares of the poles
+MAX_EVALUATIONS = 60  # largest number of evaluations in the refinement of poles
 # Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
 # multiple of the band's end. Samples do not determine poles beyond these limits.
 MIN_DECAY_RATIO = 0.25
 MAX_DECAY_RATIO = 10.0
-# Highest frequency of a pole, relative to the end of the band; the limits are tried in this order.
-# Transmission lines need poles above the band. A model of measured data with poles above the band
-# is seldom passive.
+# Limits for the highest frequency of a pole, relative to the end of the band, in the sequence in
+# which they are tried. Transmission lines need poles above the band, but a model of measured data
+# with poles above the band is seldom passive.
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
-# parameters relative to the numbers in the samples; more would describe noise
+# largest ratio of the number of parameters to the number of measured values; more parameters would
+# describe noise
 MAX_PARAMETER_SHARE = 0.25
-BOUND_DISTANCE = 1e-3  # smallest relative distance of the start of least squares from a bound
-MAX_POLES = 60  # poles; a complex pair counts once
-MAX_STATES = 48  # states of all poles; passivity enforcement takes time with their sixth power
-# deviation of a good fit: multiple of the noise of the data, or fraction of the largest value
+BOUND_DISTANCE = 1e-3  # smallest relative distance of a start value from its bound
+MAX_POLES = 60  # largest number of poles; a complex pair counts once
+# Largest number of states. The time of passivity enforcement grows with the sixth power of it.
+MAX_STATES = 48
+# largest deviation of a good fit: multiple of the noise of the data, or fraction of the largest
+# value
 NOISE_FACTOR = 1.2
 GOOD_DEVIATION = 1e-5
-# smallest reduction of the deviation by three further poles, and number of smaller reductions that
-# end the search
+# smallest relative reduction of the deviation by three additional poles, and the number of smaller
+# reductions after which the search ends
 MIN_IMPROVEMENT = 0.1
 MAX_FAILURES = 2
 PASSIVITY_RATIO = 1.2  # accepted deviation of a passive fit, relative to the fit without passivity
-POOR_DEVIATION = 0.2  # deviation, relative to the largest value, of data without a rational fit
+POOR_DEVIATION = 0.2  # deviation relative to the largest value above which the data have no fit
 OPTIMUM_ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
-MAX_PASSIVITY_EXCESS = 0.1  # largest excess over the passive range that is corrected by scaling
-PASSIVITY_MARGIN = 1e-7  # distance below one of the largest singular value of a passive model
+MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that is corrected by scaling
+PASSIVITY_MARGIN = 1e-7  # the largest singular value of a passive model is below 1 by this margin
 
 
 def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
     """Fit a passive state space to admittances ``Y`` (n, ports, ports) [S].
 
-    The frequencies are ``f`` (n,) [Hz]. The electrical ports are ``port1`` … against ``ref``. The
-    error in its certificate is the largest deviation of any entry from the samples, relative to the
-    entry's peak.
-
-    ``noise`` is the relative standard deviation of one component of Y.
+    The frequencies are ``f`` (n,) [Hz]. The ports are ``port1``, ``port2``, …, with the common
+    reference pin ``ref``. The error in the certificate is the largest deviation of any entry from
+    the samples, relative to the entry's peak. ``noise`` is the relative standard deviation of one
+    component of Y.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     model = _convert_to_admittance(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # the entries of ports without coupling are zero
+    # an entry between ports without coupling is zero
     deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -101,9 +104,9 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 
 
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
-    """Return the best passive fit over a range of numbers of poles.
+    """Return the best passive fit among fits with different numbers of poles.
 
-    The search begins with the most accurate fits, and ends at the first passive model that is about
+    The search begins with the most accurate fits. It ends at the first passive model that is about
     as accurate as the best fit before passivity was enforced. If there is no such model, the
     result is the most accurate passive model.
     """
@@ -145,7 +148,7 @@ def _generate_fits(
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
-            # vector fitting may end early; the deviation shows whether its poles are usable
+            # vector fitting may end early; the deviation then shows whether the poles are usable
             warnings.simplefilter("ignore")
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
@@ -172,12 +175,11 @@ def _generate_fits(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Find the nearest passive state space with the same poles. The result is None if there is no
-    such state space.
+    """Find the nearest passive state space with the same poles, None if there is none.
 
-    Least squares over C and D under the bounded real lemma, a linear matrix inequality in C, D and
-    a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
-    section 9.4)::
+    The deviation is minimised over C and D subject to the bounded real lemma: a linear matrix
+    inequality in C, D and the matrix P of a storage function ``x'Px`` (S. Grivet-Talocia, B.
+    Gustavsen, Passive Macromodeling, 2016, section 9.4)::
 
         [ A'P + PA   PB   C' ]
         [ B'P        -1   D' ]  <= 0
@@ -190,10 +192,11 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     n, m = B.shape
     top = 2 * np.pi * float(f[-1])
     states = np.linalg.solve(2j * np.pi * f[:, None, None] * np.eye(n) - A, B.astype(complex)[None])
-    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # scale of each state in the samples
+    size = np.sqrt((np.abs(states) ** 2).mean(axis=(0, 2)))  # rms value of each state
     A, B, states = A / top * size / size[:, None], B / size[:, None] / top, states / size[:, None]
     X = np.concatenate([states, np.broadcast_to(np.eye(m), (len(f), m, m))], axis=1)
-    X = np.moveaxis(X, 1, 2).reshape(-1, n + m)  # (samples and inputs, states and inputs)
+    # rows are samples and inputs, columns are states and inputs
+    X = np.moveaxis(X, 1, 2).reshape(-1, n + m)
     target = np.moveaxis(S, 1, 2).reshape(-1, m)
     Q, R = np.linalg.qr(np.concatenate([X.real, X.imag]))
     q = Q.T @ np.concatenate([target.real, target.imag])
@@ -204,8 +207,9 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def inequality(x: np.ndarray) -> np.ndarray:
-        """Return the matrix of the inequality for the lower triangle of P and the rows of (C, D),
-        without the ones.
+        """Return the matrix of the inequality without its constant entries -1.
+
+        ``x`` contains the lower triangle of P, and the rows of (C, D).
         """
         P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
         P[pairs] = P.T[pairs] = x[:triangle]
@@ -237,7 +241,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
 
 
 def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Return the passive state space with the poles of a fit that is nearest to the samples."""
+    """Return the passive state space nearest to the samples, with the poles of a fit."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
     if is_passive(*fit):
@@ -252,9 +256,10 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 
 
 def _scale_to_passive(model: ABCD) -> ABCD | None:
-    """Divide C and D by the least factor that makes the model passive.
+    """Divide C and D by the smallest factor that makes the model passive.
 
-    The factors are ``1 + ROUNDING 2^k``. The result is None above :data:`MAX_PASSIVITY_EXCESS`.
+    The factors ``1 + ROUNDING 2^k`` are tried. The result is None if the factor would exceed
+    1 + :data:`MAX_PASSIVITY_EXCESS`.
     """
     A, B, C, D = model
     excess = 0.0
@@ -271,7 +276,7 @@ def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the rms deviation relative to the largest entry."""
+    """Return the rms difference of two responses, relative to the largest entry."""
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
@@ -280,13 +285,13 @@ def refine_poles(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Refine stable poles near ``poles`` [rad/s] by nonlinear least squares.
 
-    The poles are the real poles and the poles in the upper half plane. The sum is ``D + sum_k R_k
-    / (s - p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are also results.
-    Poles are at most ``highest`` times the band's end.
+    ``poles`` contains the real poles and the poles in the upper half-plane. The fitted function is
+    ``D + sum_k R_k / (s - p_k) + R_k* / (s - p_k*)``. The results are the poles, the residues
+    (poles, ports, ports) and D. Poles are at most ``highest`` times the band's end.
 
-    Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and
-    Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops when it makes no progress; the
-    nearest minimum does not depend on rounding.
+    The residues are linear parameters, so they are eliminated (variable projection with Kaufman's
+    Jacobian: Golub and Pereyra, Inverse Problems 19 (2003) R1). Unlike the result of vector
+    fitting, the minimum of the least-squares problem does not depend on rounding errors.
     """
     top = 2 * np.pi * float(f[-1])
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
@@ -347,10 +352,10 @@ def refine_poles(
 
 
 def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the real rows of the terms of a sum, scaled to norm 1, and their norms.
+    """Compute the columns of the linear least-squares problem, scaled to norm 1, and their norms.
 
-    The terms are ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it for a real pole) and ``j / (s -
-    p) - j / (s - p*)`` for complex poles.
+    The columns are real and contain the terms ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it for
+    a real pole), and ``j / (s - p) - j / (s - p*)`` for complex poles.
     """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
     sums = np.where(real, one, one + other)
@@ -361,7 +366,7 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
 
 
 def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Complex residues (poles, entries) from the factors of :func:`_scale_columns`."""
+    """Return the complex residues (poles, entries) for coefficients of :func:`_scale_columns`."""
     result = coefficients[1 : 1 + len(real)].astype(complex)
     result[~real] += 1j * coefficients[1 + len(real) :]
     return result
@@ -370,7 +375,10 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Derivatives (frequencies, entries) with respect to the logarithms of the poles' parts."""
+    """Yield derivatives (frequencies, entries) with respect to the logarithms of pole parts.
+
+    The pole parts are the negative real parts and the imaginary parts of the poles.
+    """
     residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
@@ -387,9 +395,9 @@ def _pole_derivatives(
 
 
 def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
-    """Make real matrices of ``S = D + sum_k R_k / (s - p_k)``.
+    """Make the real state-space matrices of ``S = D + sum_k R_k / (s - p_k)``.
 
-    Each pole occurs as often as the rank of its residue.
+    The number of states of a pole is the rank of its residue.
     """
     ports = len(D)
     blocks, inputs, outputs = [], [], []
@@ -397,7 +405,8 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
         U, size, Vh = np.linalg.svd(residue)
         rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
         into, out = Vh, U * size
-        if rank == ports:  # each input has its own states, which gives the fewest entries
+        # each input has separate states, so that the matrices have the fewest entries
+        if rank == ports:
             into, out = np.eye(ports), residue
         for column in range(rank):
             c, b = out[:, column], into[column]
@@ -415,10 +424,10 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
 
 
 def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
-    """Whether a scattering state space is passive at every frequency.
+    """Return whether a state space of scattering parameters is passive at every frequency.
 
-    A passive model is stable, D is below one, and the Hamiltonian of a bound just above one has no
-    eigenvalue on the imaginary axis.
+    The model is passive if it is stable, the norm of D is below one, and the Hamiltonian for a
+    bound just above one has no eigenvalue on the imaginary axis.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False
@@ -440,9 +449,9 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
 def _convert_to_admittance(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """Make the state space of charges [C] by voltages [V].
+    """Make the state space from voltages [V] to charges [C].
 
-    Waves ``a`` remain separate signals, so that the poles of the fit remain separate in their
+    The waves ``a`` remain algebraic signals, so that the poles of the fit remain in separate
     blocks::
 
         x' = A x + B a,    q' = (2 a - v / r) / r,    0 = v / r - C x - (1 + D) a

@@ -1,13 +1,15 @@
 """Parallel branches of resistors, inductors and capacitors: a passive one-port.
 
-Every branch is R, L and C in series, some of them absent. With the charge ``q_k`` of each branch
-in parallel with a capacitance ``C0``, a voltage u and the charge y of the port::
+Every branch consists of R, L and C in series, or of some of these elements. All branches and the
+capacitance ``C0`` are in parallel. With the charge ``q_k`` of each branch, the voltage u and the
+charge y of the port, the network is::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-is a linear model with diagonal matrices and a column B of ones, and is recognised by this form.
-The resistance R and the inductance L of leads carry the current of all branches. Then ``C0`` is
-also a branch, and the lead adds one value to all entries of the matrices of R and L::
+This is a linear model with diagonal matrices and a column B of ones; a model of this form is
+recognised as a network. The current of all branches flows through the resistance R and the
+inductance L of the leads. If there are leads, ``C0`` is also a branch, and the leads add the same
+value to all entries of the matrix of R, and to all entries of the matrix of L::
 
     L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
@@ -26,14 +28,14 @@ NETWORK_PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 @dataclass(frozen=True)
 class CircuitBranch:
-    """R [Ohm], L [H] and elastance 1/C [1/F] in series; 0 is an absent element."""
+    """R [Ohm], L [H] and elastance 1/C [1/F] in series; the value of a missing element is 0."""
 
     resistance: float
     inductance: float = 0.0
     elastance: float = 0.0
 
     def admittance(self, s: np.ndarray) -> np.ndarray:
-        """``s / (L s^2 + R s + 1/C)`` (n,) [S] at ``s`` (n,) [rad/s]."""
+        """Return the admittance ``s / (L s^2 + R s + 1/C)`` (n,) [S] at ``s`` (n,) [rad/s]."""
         return np.asarray(
             s / (self.inductance * s**2 + self.resistance * s + self.elastance), dtype=complex
         )
@@ -44,8 +46,9 @@ IDEAL_LEAD = CircuitBranch(0.0)
 
 @dataclass(frozen=True)
 class ParallelBranches:
-    """One-port of parallel ``branches`` and the ``capacitance`` C0 [F]. The ``lead``, R and L in
-    series, carries the current of all of them.
+    """One-port with ``branches`` and a ``capacitance`` C0 [F] in parallel.
+
+    The ``lead`` consists of R and L, and carries the current of all branches.
     """
 
     capacitance: float
@@ -59,7 +62,7 @@ class ParallelBranches:
         return conductance / (1 + self.lead.resistance * conductance)
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Y (n,) [S] at ``frequency`` (n,) [Hz]."""
+        """Return the admittance (n,) [S] at ``frequency`` (n,) [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         Y = s * self.capacitance
         for branch in self.branches:
@@ -69,7 +72,7 @@ class ParallelBranches:
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        :func:`parallel_branches` restores the network, exactly if there is no lead.
+        :func:`parallel_branches` is the inverse; the inverse is exact if there is no lead.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:
@@ -116,10 +119,9 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
 
 
 def _common_value(matrix: np.ndarray) -> float | None:
-    """Return the common value of all entries off the diagonal.
+    """Return the value that all entries outside of the diagonal have in common.
 
-    The value is positive or zero, and at most each entry on the diagonal. Otherwise the result is
-    None.
+    The result is None if these entries differ, are negative, or exceed an entry on the diagonal.
     """
     off_diagonal = matrix[~np.eye(len(matrix), dtype=bool)]
     shared = float(off_diagonal[0]) if off_diagonal.size else 0.0

@@ -1,12 +1,13 @@
 """Reduction of models whose matrices depend on parameters, over the ranges of the parameters.
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
-``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of
-Chebyshev polynomials of their logarithms, exact at the samples. The projection keeps definiteness.
-The method tracks no single mode, so modes may cross or repel each other inside the parameter
-ranges. The mesh must move with the parameters without a change of its topology. Parameters that
-only scale the damping are exact and need no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM
-Review 57 (2015) 483, section 4: a global basis.)
+``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. They are
+approximated by products of Chebyshev polynomials of the parameters' logarithms, which are exact at
+the samples. The projection preserves definiteness. Because the method does not follow single modes,
+modes may cross or repel each other inside the parameter ranges. The mesh must move with the
+parameters without a change of its topology. Parameters that only scale the damping are exact and
+need no samples. Source: P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a
+global basis).
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 
-MAX_ALL_MODES = 700  # unknowns up to which computing all modes takes no longer than computing a few
+MAX_ALL_MODES = 700  # unknowns up to which all modes take no longer to compute than a few modes
 MODE_BAND_RATIO = 2.0  # frequency up to which modes are retained, relative to the end of the band
 MIN_MODES = 10  # smallest number of modes
 MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
-DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
+DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degrees, keyed by number of parameters
 DEGREE_STEP = 2  # increase of the degree if it is too low for the width of the ranges
-# the number of full models increases with the degree: 11, 55 and 84
+# Largest degrees, keyed by number of parameters. They need 11, 55 and 84 full models.
 MAX_DEGREES = {1: 10, 2: 9, 3: 6}
-# Offset in the logarithm of a range that begins at zero, relative to the end of the range. Below
-# it, the coordinate is proportional to the value.
+# Offset of the values in the logarithm of a range that begins at zero, relative to the end of the
+# range. For values below the offset, the coordinate is a linear function of the value.
 LOG_OFFSET_RATIO = 1e-6
-# A column is dropped if the square of its addition to the others is less than this share of the
-# largest. With 1e-12 a thin plate, whose stiff motions have 1e8 times the energy, has an error of
-# 1e-4.
+# A column is omitted if the squared norm of its part outside the span of other columns is less than
+# this share of the largest. With a share of 1e-12, a thin plate, whose stiff motions have 1e8 times
+# the energy of its soft motions, would have an error of 1e-4.
 DEPENDENT_COLUMN = 1e-15
 
 Values = Mapping[str, float]
@@ -47,14 +48,14 @@ Full = Callable[[Values], LinearModel]
 
 @dataclass(frozen=True)
 class ParameterAxis:
-    """Parameter and its range, with a logarithmic coordinate from -1 to 1.
+    """Range of a parameter, with a logarithmic coordinate from -1 to 1.
 
-    The coordinate is -1 at ``low`` and 1 at ``high``. A range ``from_zero`` may begin at zero: its
-    coordinate is the logarithm of the value plus :data:`LOG_OFFSET_RATIO` times ``high``.
+    The coordinate is -1 at ``low`` and 1 at ``high``. If ``from_zero`` is true, the range may begin
+    at zero, and :data:`LOG_OFFSET_RATIO` times ``high`` is added to the value before the logarithm.
 
     Raises
     ------
-    UsageError : the ends are not two different numbers of the same sign.
+    UsageError : the ends of the range are not two different numbers of the same sign.
     """
 
     name: str
@@ -74,21 +75,21 @@ class ParameterAxis:
 
     @property
     def shift(self) -> float:
-        """Addend of the logarithm."""
+        """Number that is added to a value before the logarithm."""
         return 0.0 if self.low else LOG_OFFSET_RATIO * self.high
 
     @property
     def middle(self) -> float:
-        """The value in the middle of the logarithms."""
+        """Value of the parameter in the middle of the logarithmic range."""
         return self.value(0.0)
 
     def value(self, x: float) -> float:
-        """The parameter at a coordinate."""
+        """Return the value of the parameter at a coordinate ``x``."""
         low, high = self.low + self.shift, self.high + self.shift
         return low * float((high / low) ** (0.5 * (x + 1))) - self.shift
 
     def coordinate(self, value: float) -> float:
-        """The coordinate of a value; nan for a value of the other sign."""
+        """Return the coordinate of a value, nan if the value has the other sign than the range."""
         low, high = self.low + self.shift, self.high + self.shift
         if not (value + self.shift) / low > 0:
             return float("nan")
@@ -115,7 +116,7 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
 
 @dataclass(frozen=True)
 class DampingParameter:
-    """Parameter that scales only the Rayleigh damping: its powers multiply alpha and beta."""
+    """Parameter that changes only the Rayleigh damping: powers of it multiply alpha and beta."""
 
     axis: ParameterAxis
     alpha: float
@@ -124,10 +125,11 @@ class DampingParameter:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ParameterPolynomials:
-    """Matrices of a model over the parameter range of ``axes`` and ``losses``.
+    """Polynomials for the matrices of a model over ranges of parameters.
 
-    They are sums of products of Chebyshev polynomials of the axes' coordinates with ``exponents``
-    (terms, axes).
+    The matrices are sums of products of Chebyshev polynomials of the coordinates of ``axes``. The
+    degrees of the polynomials are ``exponents`` (terms, axes). The parameters in ``losses`` only
+    scale the damping.
     """
 
     axes: tuple[ParameterAxis, ...]
@@ -136,11 +138,11 @@ class ParameterPolynomials:
 
     @property
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis of each parameter by its name."""
+        """Range of each parameter, keyed by name."""
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def products(self, values: Values) -> np.ndarray:
-        """Return the products of polynomials (terms,) at ``values`` of all parameters.
+        """Return the products of polynomials (terms,) for ``values`` of all parameters.
 
         Raises
         ------
@@ -151,7 +153,7 @@ class ParameterPolynomials:
         return np.asarray(polynomials(x, self.exponents)[0])
 
     def damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
-        """Scale the ``pair`` (alpha, beta) at the middle of all ranges to ``values``."""
+        """Return alpha and beta for ``values``; ``pair`` are alpha and beta in the middle."""
         alpha, beta = pair
         for loss in self.losses:
             share = values[loss.axis.name] / loss.axis.middle
@@ -163,15 +165,15 @@ class ParameterPolynomials:
 class Parametric(ParameterPolynomials):
     """Reduced models over ranges of parameters.
 
-    ``terms`` contains the coefficients (terms, …) of the polynomials of each of M, K, B, D and E
-    (or ``rayleigh``).
+    ``terms`` contains the coefficients (terms, …) of the polynomials for M, K, B, D and E (or
+    ``rayleigh``).
     """
 
     frame: LinearModel
     terms: Mapping[str, np.ndarray]
 
     def at(self, values: Values) -> LinearModel:
-        """The reduced model at ``values`` of all parameters.
+        """Return the reduced model for ``values`` of all parameters.
 
         Raises
         ------
@@ -197,8 +199,8 @@ def reduce_over_parameters(
     """Reduce the models ``full(values)`` over the parameter ranges ``axes``.
 
     The result is accurate up to the end of ``band`` [Hz]. ``degree`` is the total degree of the
-    polynomials. The function ``progress`` is called with the number of full models that were
-    computed, and with the number that are needed.
+    polynomials. The function ``progress`` is called with the number of computed full models, and
+    with the number of required full models.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def reduce_over_parameters(
     cached_model = cache(lambda key: full(dict(key)))
 
     def model_at(values: Values) -> LinearModel:
-        """Return the full model, computed once for each point."""
+        """Return the full model for ``values``, which is computed only once for each point."""
         return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle for axis in axes}
@@ -220,7 +222,8 @@ def reduce_over_parameters(
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEFAULT_DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = list_exponents(len(stiffness_axes), degree)
-    # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
+    # The points are approximate Fekete points of a Chebyshev grid. Their number is the number of
+    # polynomials.
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=len(stiffness_axes))))
     *_, selected = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
@@ -259,23 +262,23 @@ def reduce_over_parameters(
 
 
 def higher_degree(model: Parametric) -> int | None:
-    """The next total degree of the polynomials; None beyond :data:`MAX_DEGREES`."""
+    """Return the next higher total degree of the polynomials, None beyond :data:`MAX_DEGREES`."""
     degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
     return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Compute ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
+    """Compute the response ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
 
-    The modes extend to twice the highest frequency; the static response represents all higher
-    modes. The modal response takes a second for models whose direct solutions take minutes.
+    Modes up to twice the highest frequency are included, and the static response represents all
+    higher modes. This takes a second for models whose direct solutions take minutes.
     """
     f = np.asarray(frequency, dtype=float)
     return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)
 
 
 def modal_projection(model: LinearModel, top: float) -> Pencil:
-    """Project a full model on its modes to twice the frequency ``top`` [Hz].
+    """Project a full model on its modes up to twice the frequency ``top`` [Hz].
 
     The basis also contains the part of the static responses that the modes do not represent.
     """
@@ -287,10 +290,10 @@ def modal_projection(model: LinearModel, top: float) -> Pencil:
 def natural_modes(
     pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute squared natural frequencies (k,) below ``top`` [rad/s], and modes.
+    """Compute squared natural frequencies (k,) below ``top`` [rad/s], and their mode shapes.
 
-    There are at least :data:`MIN_MODES`. The shapes (n, k) are M-orthonormal. ``inverse`` is the
-    inverse of ``K - square M``.
+    The result contains at least :data:`MIN_MODES` modes. The shapes (n, k) are M-orthonormal.
+    ``inverse`` is the factor of ``K - square M``.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
@@ -327,7 +330,7 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
 
 
 def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Compute modes to above the band, and the remaining part of the static responses."""
+    """Compute the modes to above the band, and the part of static responses outside their span."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     # K is regular if the body has a support
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)
@@ -342,7 +345,7 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
 
 
 def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
-    """Return M-orthonormal columns that span ``columns``, except for rounding errors."""
+    """Return M-orthonormal columns with the same span as ``columns``, without rounding errors."""
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
     V = V[:, size > 0] / size[size > 0]
@@ -356,14 +359,14 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return the parameter as a factor of the damping; None if the parameter also changes other
-    matrices.
+    """Return a parameter that scales only the damping, None if it changes other matrices.
+
     """
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)
     models = []
-    for x in places:  # the first point is sufficient if the parameter changes other matrices
+    for x in places:  # the first point already shows whether the parameter changes other matrices
         model = full({**middle, axis.name: axis.value(x)})
         if model.rayleigh is None or not _differs_in_damping_only(model, frame):
             return None
@@ -397,7 +400,7 @@ def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
 
 
 def list_exponents(axes: int, degree: int) -> np.ndarray:
-    """Exponents (terms, axes) of all products of powers up to a total ``degree``."""
+    """Return the exponents (terms, axes) of all products of powers up to a total ``degree``."""
     rows = []
     for total in range(degree + 1):
         for selected in combinations_with_replacement(range(axes), total):
@@ -406,6 +409,6 @@ def list_exponents(axes: int, degree: int) -> np.ndarray:
 
 
 def polynomials(x: np.ndarray, exponents: np.ndarray) -> np.ndarray:
-    """Products of Chebyshev polynomials (points, terms) at coordinates (points, axes)."""
+    """Return products (points, terms) of Chebyshev polynomials at coordinates (points, axes)."""
     angles = np.arccos(np.clip(x, -1.0, 1.0))
     return np.asarray(np.cos(angles[:, None, :] * exponents[None]).prod(axis=2))

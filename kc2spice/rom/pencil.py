@@ -1,6 +1,7 @@
-"""A linear model as a polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``.
+"""Linear models as matrix polynomials in s (pencils), ``P(s) x = B u``, ``y = C x + D u``.
 
-Solvers apply its matrices and solve with them, but the matrices need not be formed.
+Solvers multiply by the matrices and solve linear systems, so that a Schur complement need not be
+computed as a dense matrix.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from kc2spice.linalg.factor import (
     factorise_two_sided,
 )
 
-Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
+Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy has no type hints
 
 # Two matrices are equal if no entry differs by more than this fraction of the largest entry.
 EQUALITY_TOLERANCE = 1e-12
@@ -40,18 +41,18 @@ class SharedValue(Generic[T]):
 
     @property
     def known(self) -> T | None:
-        """The value, None before the first use."""
+        """Value, or None before the first use."""
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
-        """Return the value, which ``compute`` returns at the first use."""
+        """Return the value; at the first use, ``compute`` is called to compute it."""
         if not self._values:
             self._values.append(compute())
         return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
-        """Share the value with ``other``: a value that one of them computes is the value of
-        both."""
+        """Share the value with ``other``, so that it is computed only once.
+"""
         self._values = other._values
 
 
@@ -59,12 +60,13 @@ class SharedValue(Generic[T]):
 class Schur:
     """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
 
-    The complement is dense, so it is stored as its four sparse blocks. The unknowns of ``pp`` are
-    eliminated.
+    The Schur complement is dense, so only the four sparse blocks are stored. The unknowns of ``pp``
+    are eliminated.
 
     Raises
     ------
-    SimulationError : ``pp`` is singular; raised at the first use.
+    SimulationError : ``pp`` is singular; the error is raised when the factor of ``pp`` is first
+        used.
     """
 
     uu: scipy.sparse.csc_array
@@ -75,21 +77,23 @@ class Schur:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Size of the matrix that is left."""
+        """Shape of the Schur complement."""
         rows, columns = self.uu.shape
         return int(rows), int(columns)
 
     @property
     def symmetric(self) -> bool:
-        """Whether both diagonal blocks are symmetric, and the other blocks are transposes of each
-        other.
+        """Whether the whole matrix is symmetric.
+
+        The diagonal blocks must be symmetric, and ``up`` must be the transpose of ``pu``.
+
         """
         pairs = ((self.uu, self.uu.T), (self.pp, self.pp.T), (self.up, self.pu.T))
         return all(is_equal(a, b) for a, b in pairs)
 
     @property
     def inner(self) -> Factor:
-        """Factor of ``pp``."""
+        """Factor of the block ``pp``."""
         return self.factor.get(self._factorise_inner)
 
     def _factorise_inner(self) -> Factor:
@@ -100,14 +104,14 @@ class Schur:
 
     @property
     def is_large(self) -> bool:
-        """Whether the matrices are so large that pivoting would take more time."""
+        """Whether the matrices are so large that a factorisation without pivoting is faster."""
         return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE_UNKNOWNS)
 
     def is_proven_definite(self, factor: Factor | None) -> bool:
-        """Whether a ``factor`` of all four blocks proves that the complement is positive definite.
+        """Return whether a ``factor`` of all blocks proves the complement positive definite.
 
-        The inertia of all blocks is the sum of the inertias of ``pp`` and of the complement
-        (Haynsworth 1968). All negative eigenvalues must belong to ``pp``.
+        The number of negative eigenvalues of the whole matrix is the sum of those of ``pp`` and of
+        the complement (Haynsworth 1968). The complement must not have any.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative
@@ -123,21 +127,21 @@ class Schur:
         return np.asarray(self.uu @ x - self.up @ self.inner.solve(self.pu @ x))
 
     def scaled(self, t: np.ndarray) -> Schur:
-        """``diag(t) S diag(t)``."""
+        """Return ``diag(t) S diag(t)`` for this matrix S."""
         return self._with_blocks(
             scale_matrix(self.uu, t, t), scale_matrix(self.up, t), scale_matrix(self.pu, None, t)
         )
 
     def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
-        """``alpha M + beta S``."""
+        """Return the damping matrix ``alpha M + beta S`` for this matrix S."""
         return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
-        """A matrix with the same ``pp`` and its factor."""
+        """Return a Schur complement with the same ``pp`` and factor, but other blocks."""
         return Schur(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:
-        """The dense matrix."""
+        """Return the Schur complement as a dense array."""
         return np.asarray(self.uu.toarray() - self.up @ self.inner.solve(self.pu.toarray()))
 
 
@@ -157,24 +161,24 @@ def scale_matrix(
 
 
 def to_dense(matrix: Matrix) -> np.ndarray:
-    """Convert any matrix to an array."""
+    """Convert a dense, sparse or Schur matrix to a dense array."""
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
 
 
 def absolute_entries(matrix: Matrix) -> Matrix:
-    """Return the absolute values of the entries; for a :class:`Schur`, of its leading block."""
+    """Return the absolute values of a matrix, or of the block ``uu`` of a :class:`Schur`."""
     return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
 
 
 def largest_entry(matrix: Matrix) -> float:
-    """Return the largest absolute entry; for a :class:`Schur`, of its leading block."""
+    """Return the largest absolute entry of a matrix, or of the block ``uu`` of a :class:`Schur`."""
     if isinstance(matrix, Schur):
         return largest_entry(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
 def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
-    """Mask (n,) of the unknowns that any of the matrices couples to an unknown."""
+    """Return a mask (n,) of the unknowns for which any of the matrices has an entry."""
     total = np.zeros(matrices[0].shape[0])
     for size in map(abs, matrices):
         total += np.ravel(size.sum(axis=0)) + np.ravel(size.sum(axis=1))
@@ -182,21 +186,21 @@ def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
 
 
 def is_equal(one: Matrix, other: Matrix) -> bool:
-    """Return whether two matrices are equal within rounding of the largest entry."""
+    """Return whether two matrices are equal within rounding errors of the largest entry."""
     return one.shape == other.shape and largest_entry(
         one - other
     ) <= EQUALITY_TOLERANCE * largest_entry(one)
 
 
 def is_symmetric(matrix: Matrix) -> bool:
-    """Return whether a matrix is equal to its transpose within rounding."""
+    """Return whether a matrix is equal to its transpose within rounding errors."""
     return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
 
 
 def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
-    """Compute ``V'PV``; its symmetric and skew parts follow from the same parts of P.
+    """Compute ``V'PV``; if P is symmetric or skew-symmetric, so is the result exactly.
 
-    With ``known``, the symmetry of P is not tested again, because the test takes longer than the
+    If ``known`` states the symmetry of P, it is not tested, because the test takes longer than the
     product.
     """
     if known or isinstance(P, Schur):
@@ -211,22 +215,24 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     return total
 
 
-# Smallest ratio of an infinite pole to the reference frequency. Infinite poles belong to massless
-# or algebraic equations.
+# Smallest ratio of a pole to the reference frequency that counts as infinite. Massless unknowns and
+# algebraic equations cause infinite poles.
 INFINITE_POLE_RATIO = 1e10
-# largest condition of a mass matrix that is inverted, which is ten times as fast as a pencil
+# Largest condition number of a mass matrix that is inverted. The eigenvalues are then computed ten
+# times as fast as for a generalised problem.
 MAX_INVERTED_CONDITION = 1e6
-BATCH_BYTES = 8e6  # size of the matrices that are solved at once
+BATCH_BYTES = 8e6  # memory of the matrices whose linear systems are solved together
 
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
-    """``P(s) = sum_k s^k coefficients[k]``.
+    """Matrix polynomial ``P(s) = sum_k s^k coefficients[k]`` of a linear model.
 
-    Second order: ``(K, E, M)``. First order ``E x' = A x + B u``: ``(-A, E)``. The first may be a
-    :class:`Schur` complement. ``rayleigh = (alpha, beta)`` means ``E = alpha M + beta K``.
-    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are motions
-    without stiffness; see :mod:`kc2spice.rom.rigid_body`.
+    The coefficients of a second-order model are ``(K, E, M)``, and of a first-order model ``E x' =
+    A x + B u`` they are ``(-A, E)``. The first coefficient may be a :class:`Schur` complement. If
+    ``rayleigh`` is ``(alpha, beta)``, E is ``alpha M + beta K``. ``B`` (n, m), ``C`` (p, n) and
+    ``D`` (p, m) are arrays. The first ``free`` unknowns are motions without stiffness; see
+    :mod:`kc2spice.rom.rigid_body`.
     """
 
     coefficients: tuple[Matrix, ...]
@@ -253,7 +259,7 @@ class Pencil:
 
     @property
     def degree(self) -> int:
-        """Order of the equations: 1 or 2."""
+        """Degree of the polynomial: 1 for a first-order model, 2 for a second-order model."""
         return len(self.coefficients) - 1
 
     @property
@@ -269,8 +275,8 @@ class Pencil:
 
     @cached_property
     def undamped(self) -> bool:
-        """Whether the model is of second order without damping, so that it is real on the imaginary
-        axis."""
+        """Whether the model is of second order without damping, so that ``P(j w)`` is real.
+"""
         return self.degree == 2 and largest_entry(self.coefficients[1]) == 0
 
     @property
@@ -279,16 +285,15 @@ class Pencil:
         return all(isinstance(P, np.ndarray) for P in self.coefficients)
 
     def dense(self) -> Pencil:
-        """The same model with arrays throughout."""
+        """Return the same model with dense matrices only."""
         parts = tuple(map(to_dense, self.coefficients))
         return replace(self, coefficients=parts, rayleigh=None)
 
     def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
-        """Compute ``k K + e E + m M`` with rows for the eliminated unknowns.
+        """Compute ``k K + e E + m M`` with rows and columns for the eliminated unknowns.
 
-        In first order it is ``k (-A) + e E``.
-
-        Potentials get a unit that makes both diagonal blocks equally large.
+        For a first-order model, the result is ``k (-A) + e E``. The unit of potentials is chosen so
+        that both diagonal blocks are equally large.
         """
         if self.rayleigh is not None:
             alpha, beta = self.rayleigh
@@ -306,7 +311,7 @@ class Pencil:
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
     def at(self, s: complex) -> Matrix:
-        """``P(s)`` with eliminated unknowns as rows, real if possible."""
+        """Return ``P(s)`` with rows for eliminated unknowns, as real numbers if possible."""
         powers = [s**k for k in range(3)]
         if self.undamped and complex(powers[2]).imag == 0:
             return self.bordered(1.0, 0.0, complex(powers[2]).real)
@@ -327,7 +332,7 @@ class Pencil:
         )
 
     def solver(self, s: complex) -> tuple[Factor, Factor]:
-        """Factors of ``P(s)`` and of its transpose.
+        """Return factors of ``P(s)`` and of the transpose of ``P(s)``.
 
         Raises
         ------
@@ -342,16 +347,16 @@ class Pencil:
 
     @property
     def is_large(self) -> bool:
-        """Whether the matrices are so large that pivoting would take more time."""
+        """Whether the matrices are so large that a factorisation without pivoting is faster."""
         K = self.coefficients[0]
         return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE_UNKNOWNS
 
     def pencil_solver(self, square: float) -> Factor:
-        """Factor of ``K - square M``, real; at zero K must be definite.
+        """Return the real factor of ``K - square M``; if ``square`` is zero, K must be definite.
 
         Raises
         ------
-        SimulationError : singular, or K not positive definite.
+        SimulationError : the matrix is singular, or K is not positive definite.
         """
         if square:
             matrix = scipy.sparse.csc_array(self.bordered(1.0, 0.0, -square))
@@ -378,9 +383,9 @@ class Pencil:
 
     @property
     def elimination_order(self) -> np.ndarray | None:
-        """Order of elimination of the factor of K, None if K was not factorised.
+        """Elimination order of the factor of K, None if K was not factorised.
 
-        The order also applies to other matrices of the same unknowns.
+        The same elimination order suits other matrices of the same unknowns.
         """
         factor = self.factors.known
         order = None if factor is None else factor.order
@@ -392,13 +397,13 @@ class Pencil:
         return self.factors.known is not None
 
     def share_factors(self, other: Pencil) -> None:
-        """Let ``other``, which has the same K, use the factors of this pencil."""
+        """Share the factors of K with ``other``, which has the same K."""
         other.factors.join(self.factors)
 
     def project(self, V: np.ndarray) -> Pencil:
-        """Project by the congruence ``V'PV``, ``V'B``, ``CV``.
+        """Project the model on the basis V by the congruence ``V'PV``, ``V'B``, ``CV``.
 
-        Symmetric and skew-symmetric matrices remain exactly so.
+        Symmetric matrices remain exactly symmetric, and skew-symmetric matrices exactly skew.
         """
         if self.rayleigh is None:
             reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
@@ -410,9 +415,10 @@ class Pencil:
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
 
     def project_exactly(self, V: np.ndarray) -> Pencil:
-        """Project a dense pencil with 19 digits in intermediate results.
+        """Project a dense pencil on the basis V with 19 digits in intermediate results.
 
-        Soft motions of stiff matrices are small differences of large numbers, which 16 digits lose.
+        The stiffness of soft motions is a small difference of large entries of K, which 16 digits
+        do not resolve.
         """
         left, reduced = ExactMatrix(V.T), []
         for P in self.coefficients:
@@ -427,12 +433,12 @@ class Pencil:
         return Pencil(tuple(reduced), B, C, self.D)
 
     def leading_model(self, order: int) -> Pencil:
-        """The pencil of the first ``order`` unknowns."""
+        """Return the pencil of the first ``order`` unknowns."""
         return self._part(slice(order), min(self.free, order))
 
     @property
     def without_free_motion(self) -> Pencil:
-        """This pencil without rigid-body modes."""
+        """Pencil of this model without rigid-body modes."""
         return self._part(slice(self.free, None), 0)
 
     def _part(self, q: slice, free: int) -> Pencil:
@@ -447,32 +453,32 @@ class Pencil:
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
     def prepend_rigid_body_modes(self, free: Pencil) -> Pencil:
-        """Return this pencil with the uncoupled ``free`` motion as its first unknowns."""
+        """Return this pencil with the uncoupled rigid-body modes ``free`` as its first unknowns."""
         parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
         return Pencil(parts, B, C, self.D, free=free.size)
 
     def transposed(self) -> Pencil:
-        """The dual model: inputs and outputs change places."""
+        """Return the dual model, in which inputs and outputs are exchanged."""
         flipped = tuple(P.T for P in self.coefficients)
         return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
     def scale_unknowns(self, omega: float) -> Pencil:
-        """The same transfer function in unknowns with similar energies at ``omega``."""
+        """Return the model with scaled unknowns, which have similar energies at ``omega``."""
         return self.in_units(self.units(omega))
 
     def units(self, omega: float) -> np.ndarray:
-        """Units (n,) of the unknowns, in which their energies at ``omega`` are similar."""
+        """Return units (n,) of the unknowns for which their energies at ``omega`` are similar."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = absolute_entries(P).max(axis=1)
             rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
             size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
-        return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding
+        return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding errors
 
     def in_units(self, t: np.ndarray) -> Pencil:
-        """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""
+        """Return the model with the unknowns ``x / t``: its polynomial is ``diag(t) P diag(t)``."""
 
         def both(P: Matrix) -> Matrix:
             if isinstance(P, Schur):
@@ -489,11 +495,11 @@ class Pencil:
         return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """``P(s)^-1 B`` (len(s), n, m) complex.
+        """Compute the complex unknowns ``P(s)^-1 B`` (len(s), n, m).
 
         Raises
         ------
-        SimulationError : one of ``s`` is a pole.
+        SimulationError : a value in ``s`` is a pole.
         """
         s = np.asarray(s, dtype=complex)
         result = np.empty((len(s), *self.B.shape), dtype=complex)
@@ -512,13 +518,16 @@ class Pencil:
         return result
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
-        """``C P(s)^-1 B + D`` (len(s), outputs, inputs) complex."""
+        """Compute the complex response ``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
         if self.is_dense:
             return np.asarray(self.C @ self.states(s) + self.D)
         return np.stack([self.C @ self.states(item[None])[0] + self.D for item in np.asarray(s)])
 
     def poles(self, omega: float | None = None) -> np.ndarray:
-        """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
+        """Compute the finite poles [1/s] with dense matrices.
+
+        ``omega`` is a typical angular frequency, with which rates are scaled.
+        """
         full = self.coefficients if self.is_dense else self.dense().coefficients
         sizes = list(map(largest_entry, full))
         if omega is None:
@@ -536,9 +545,9 @@ class Pencil:
 
 
 class GrowingProjection:
-    """Projection of a pencil of definite form on a basis V that grows by blocks.
+    """Projection of a definite pencil on a basis V to which blocks of vectors are added.
 
-    A block adds rows and columns to ``V'KV`` and ``V'MV``.
+    Each block adds rows and columns to ``V'KV`` and ``V'MV``.
     """
 
     def __init__(self, pencil: Pencil) -> None:
@@ -547,34 +556,37 @@ class GrowingProjection:
         self._B = np.empty((0, pencil.B.shape[1]))
 
     def extend(self, V: np.ndarray, stiff: np.ndarray, heavy: np.ndarray) -> None:
-        """Take a basis V (n, k) with new last columns, and K and M times these columns (n, m)."""
+        """Extend the projection by the last m columns of a basis V (n, k).
+
+        ``stiff`` and ``heavy`` (n, m) are the products of K and M with these columns.
+        """
         self._K, self._M = _bordered(self._K, V.T @ stiff), _bordered(self._M, V.T @ heavy)
         self._B = np.vstack([self._B, V[:, len(self._B) :].T @ self._full.B])
 
     @property
     def pencil(self) -> Pencil:
-        """The projected pencil."""
+        """Projection of the pencil on the basis."""
         alpha, beta = self._full.rayleigh or (0.0, 0.0)
         reduced = self._K, alpha * self._M + beta * self._K, self._M
         return Pencil(reduced, self._B, self._B.T.copy(), self._full.D)
 
 
 def _bordered(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return a symmetric matrix with further ``columns`` (k, m) and the same rows."""
+    """Return a symmetric matrix with additional ``columns`` (k, m) and the equal rows."""
     old = len(square)
     corner = 0.5 * (columns[old:] + columns[old:].T)
     return np.block([[square, columns[:old]], [columns[:old].T, corner]])
 
 
 def explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
-    """``x' = A x + B u``, ``y = C x + D u``."""
+    """Return the pencil of ``x' = A x + B u``, ``y = C x + D u``."""
     return Pencil((-A, np.eye(len(A))), B, C, D)
 
 
 def first_order(pencil: Pencil, omega: float) -> Pencil:
-    """Convert a model to ``E x' = A x + B u`` without any division.
+    """Convert a model to ``E x' = A x + B u`` without divisions.
 
-    Rates are per ``omega``.
+    Rates are divided by ``omega``.
     """
     if pencil.degree == 1:
         return pencil
@@ -587,9 +599,9 @@ def first_order(pencil: Pencil, omega: float) -> Pencil:
 
 
 def detect_rayleigh(pencil: Pencil) -> Pencil:
-    """Set ``rayleigh`` of a model whose E is ``alpha M + beta K`` to rounding.
+    """Set ``rayleigh`` of a model whose E is ``alpha M + beta K`` within rounding errors.
 
-    A definite model is then reduced by real solutions.
+    A definite model can then be reduced with real factorisations.
     """
     if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
         return pencil
@@ -608,13 +620,11 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
 
 
 def eliminate_massless(pencil: Pencil) -> Pencil:
-    """Eliminate unknowns without inertia and damping by a Schur complement.
+    """Eliminate unknowns without inertia and damping exactly by a Schur complement.
 
-    The result is exact.
-
-    Examples are potentials of a piezoelectric model and algebraic equations of a first-order model.
-    If their block is singular (index two), or if a coefficient is already a Schur complement, the
-    pencil is returned unchanged.
+    Such unknowns are potentials of a piezoelectric model and algebraic unknowns of a first-order
+    model. If the block of these unknowns is singular (index two), or if a coefficient is already a
+    Schur complement, the pencil is returned unchanged.
     """
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:

@@ -1,21 +1,21 @@
 """Heat flows into ports of prescribed temperature, and their error in a reduced model.
 
-With the division of :mod:`kc2spice.rom.interface_modes`, the heat flows into the ports ``T_i`` and
-the temperatures of the ports ``q`` are
+:mod:`kc2spice.rom.interface_modes` divides the unknowns. Then the heat flows Q into the ports with
+prescribed temperatures ``T_i``, and the temperatures T_q of the ports with heat flows q are
 
     Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
     (K_ee + s E_ee) x = B_e q - s c T_i,
 
 with the static heat flows ``G``, the static temperatures ``S``, ``c = E_ei + E_ee Psi`` and ``M =
-E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies the terms of Q nearly cancel: the heat flow
-into a body behind a film tends to that of a cold body, ``K_ii T_i``. The error of x therefore does
-not bound the errors of Q and T_q. The original equations have no terms that cancel at high
-frequencies, but terms that cancel at low frequencies:
+E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies, the terms of Q nearly cancel: the heat
+flow into a body behind a film approaches ``K_ii T_i``, the heat flow into a cold body. Therefore,
+the errors of Q and T_q may be much larger than the error of x. In the original equations, terms
+cancel at low frequencies instead of high frequencies:
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
     Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
 
-A reduction for the inputs ``K_ei`` and ``E_ei`` is accurate for Q.
+If the model is reduced with the inputs ``K_ei`` and ``E_ei``, Q is accurate.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
 FREQUENCIES = 40  # number of frequencies at which heat flows, which are smooth, are compared
-DECADES = 4.0  # range of these frequencies, which ends at the end of the band
-REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, in tolerances
+DECADES = 4.0  # number of decades that these frequencies cover, up to the end of the band
+REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, relative to the tolerance
 
 
 def drive_unknowns(
@@ -62,8 +62,8 @@ class FlowReference:
 
     Attributes
     ----------
-    frequency : (n,) [Hz] at which reduced models are compared.
-    response : (n, ports, ports) Q and then T_q of the ports, for T_i and then q.
+    frequency : (n,) frequencies [Hz] at which reduced models are compared.
+    response : (n, ports, ports) response: outputs Q and T_q (rows) to inputs T_i and q (columns).
     uncertainty : relative error of the response.
     rounding : (ports, ports) rounding errors of the response.
     share : smallest reference of a relative error, as a share of the peak of each entry.
@@ -84,7 +84,7 @@ class FlowReference:
         norm: Norm,
         tolerance: float,
     ) -> FlowReference:
-        """Compute the response of a full ``model``, divided into ``parts``."""
+        """Compute the response of a full ``model`` that is divided into ``parts``."""
         low, high = max(band[0], band[1] / 10**DECADES), band[1]
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0
@@ -98,7 +98,7 @@ class FlowReference:
         return cls(frequency, response, uncertainty, rounding, reference_share(norm))
 
     def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
-        """Largest relative error of a reduced ``model``, divided into ``parts``."""
+        """Return the largest relative error of a reduced ``model`` divided into ``parts``."""
         ours = _respond(model, parts, self.frequency)
         base = Entries.of(self.response).base(self.response, self.share)
         apart = np.maximum(np.abs(ours - self.response) - self.rounding, 0.0)
@@ -109,7 +109,7 @@ class FlowReference:
 def _project(
     model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
 ) -> tuple[LinearModel, PrescribedTemperatures, float]:
-    """Project a large model onto its responses in the band, within a share of the tolerance."""
+    """Project a large model on its responses in the band, with an error far below the tolerance."""
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
     assert space.basis is not None  # a basis of all unknowns occurs only for small models
@@ -132,8 +132,8 @@ def _respond(
 ) -> np.ndarray:
     """Return heat flows and temperatures (n, ports, ports) of a divided model.
 
-    The response has two equivalent forms. At each frequency, the form with the smaller terms is
-    used, because its rounding errors are smaller.
+    The module docstring contains two equivalent forms of the response. At each frequency, the form
+    with the smaller terms is used, because it has smaller rounding errors.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)

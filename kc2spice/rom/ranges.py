@@ -1,7 +1,8 @@
 """Task, reduced model and certificate of reductions over ranges of parameters.
 
-In: full-order models as a function of the parameters. Out: a :class:`ModelOverRanges`. See
-:mod:`kc2spice.rom.varying` for resonators and :mod:`kc2spice.rom.heat_ranges` for heat networks.
+The input is a function that returns the full-order model for values of the parameters. The result
+is a :class:`ModelOverRanges`. See :mod:`kc2spice.rom.resonators_over_ranges` for resonators, and
+:mod:`kc2spice.rom.heat_ranges` for heat networks.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RangeTask:
-    """Full-order models ``full(values)`` over the ranges of ``axes``, and the aims of a reduction.
+    """Full-order models ``full(values)`` over ranges of parameters, and the required accuracy.
 
     The largest relative error over ``band`` [Hz] in the ``norm`` must be within ``tolerance``. The
-    function ``progress`` is called with the number of models that were computed, and with the
-    number that are needed.
+    function ``progress`` is called with the number of computed models, and with the number of
+    required models.
     """
 
     full: Full
@@ -40,7 +41,7 @@ class ModelOverRanges(ABC):
     """Reduced-order model over ranges of parameters.
 
     ``defaults``, ``units`` and ``descriptions`` of the parameters are empty for a body of a scene,
-    whose keys state them.
+    because the keys of the body contain this information.
     """
 
     ports: tuple[Port, ...]
@@ -53,11 +54,11 @@ class ModelOverRanges(ABC):
     @property
     @abstractmethod
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis of each parameter by its name."""
+        """Range of each parameter, keyed by name."""
 
     @abstractmethod
     def at(self, values: Values) -> LinearModel:
-        """The model at values of all parameters.
+        """Return the model for values of all parameters.
 
         Raises
         ------
@@ -66,7 +67,7 @@ class ModelOverRanges(ABC):
 
 
 def record_facts(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Wrap ``full`` in a function that also records the values and facts of its models."""
+    """Return a function that calls ``full``, and a list of the values and facts of its models."""
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
     def compute_full(values: Values) -> LinearModel:
@@ -82,8 +83,8 @@ def certify_over_ranges(
 ) -> Certificate:
     """Return the certificate of an error over the ranges.
 
-    ``checks`` is the number of full-order models that confirm the error and were not used for the
-    reduction.
+    ``checks`` is the number of full-order models with which the error was checked, and which the
+    reduction did not use.
     """
     return Certificate(
         band_hz=task.band,

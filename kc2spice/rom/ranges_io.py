@@ -1,4 +1,4 @@
-"""Records that are common to the files of all models over ranges of parameters."""
+"""Records in files of models over ranges of parameters: ports, certificate and parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kc2spice.rom.io import parse_certificate, parse_ports, require_certificate,
 from kc2spice.rom.parametric import ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges
 
-MAX_LABEL_LENGTH = 200  # characters of a unit or a description
+MAX_LABEL_LENGTH = 200  # largest number of characters of a unit or a description
 
 
 def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
 
 
 def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Make ports, certificate and parameters, by their names, from the record of a file.
+    """Make ports, certificate and parameters from the record of a file.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
 def require_finite_arrays(
     arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]
 ) -> None:
-    """Require arrays of finite numbers with these shapes; ValueError otherwise."""
+    """Raise ValueError if arrays have other ``shapes`` or contain numbers that are not finite."""
     for key, shape in shapes.items():
         array = arrays[key]
         if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():

@@ -1,15 +1,15 @@
 """Reduction of any linear model to a tolerance or an order over a band.
 
-The result is a model with a certificate.
+The result is a reduced model with a certificate.
 
-The reduction has two steps. The first one replaces the full-order model by an intermediate model
-that is far more accurate than the tolerance: :mod:`kc2spice.rom.first_step`. The second step builds
-bases for this model by the reductors that suit its structure, finds the least order whose error
-estimate is within the tolerance, and proves stability and passivity.
+The reduction has two steps. The first step (:mod:`kc2spice.rom.first_step`) replaces the full-order
+model by an intermediate model that is far more accurate than the tolerance. The second step
+computes bases of the intermediate model with the reductors that suit the model. It selects the
+smallest order whose error estimate is within the tolerance, and proves stability and passivity.
 
-Rigid-body modes are separated first and stay exact. The error estimate is the difference to the
-intermediate model at every resonance, its flanks and every notch, plus the error of the
-intermediate model in the full-order model.
+Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
+the largest difference to the intermediate model, at and beside every resonance and at every notch,
+and the error of the intermediate model.
 """
 
 from __future__ import annotations
@@ -42,18 +42,20 @@ from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import approximate_causally, first_order_model
 
 MAX_FREQUENCY = 1e30  # Hz; the square of the angular frequency is a finite float
-# Smallest tolerance: ten times MIN_ERROR_ESTIMATE, because solutions of the full-order model are
-# hardly more accurate.
+# Smallest tolerance, ten times MIN_ERROR_ESTIMATE: solutions of the full-order model are hardly
+# more accurate.
 MIN_TOLERANCE = 1e-10
-# Target of the intermediate model, as a share of the tolerance: small beside the error of the
-# reduced model. Chosen by trial.
+# Requested error of the intermediate model, as a share of the tolerance. It is small compared with
+# the error of the reduced model, and was found by trials.
 INTERMEDIATE_SHARE = 0.02
-# Share of the tolerance that the intermediate model may have if rounding prevents the target.
+# Largest error of the intermediate model, as a share of the tolerance, if rounding errors prevent
+# the requested error.
 MAX_INTERMEDIATE_SHARE = 0.5
-# Share of the tolerance that rounding must leave for the reduced model. A quarter costs one or two
-# states; for less, the estimate exceeds the tolerance, and a warning states the reason.
+# Smallest share of the tolerance that remains for the reduced model beside rounding errors. A
+# quarter of the tolerance costs one or two additional states. If less remains, the error estimate
+# exceeds the tolerance, and a warning states the reason.
 MIN_REMAINING_SHARE = 0.25
-# Target of the intermediate model if the order is prescribed. Chosen by trial.
+# Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
 
 
@@ -68,22 +70,22 @@ def reduce_model(
     method: str | Reductor | None = None,
     solver: DirectSolver | str | None = None,
 ) -> LinearModel:
-    """Return the smallest model within ``tolerance``, or the model of ``order``.
+    """Return the smallest reduced model within ``tolerance``, or the model of ``order``.
 
-    The result has the ports of ``fom``, the full-order model. Its certificate states the error over
-    ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
+    The result has the ports of ``fom``, the full-order model. The certificate contains the error
+    over ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
 
     * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
       Arnoldi at s0 = 0.
-    * Models whose ports are signals are also reduced by balanced truncation, to first order. This
-    result is used if it has fewer states and the model does not lose its passive form. * Structural
-    damping becomes viscous damping of each mode, or relaxations if these are much more
+    * Models whose ports are signals are also reduced to first-order models by balanced truncation.
+      This result is used if it has fewer states and no passive form is lost.
+    * Structural damping becomes viscous damping of each mode, or relaxations if they are much more
       accurate. The error estimate includes the difference. The function warns if the difference
       exceeds the tolerance.
-    * * The inertia of a symmetric model with only real poles is omitted if this saves states
-    without a change of the response. * Rounding of the full model's entries may change its response
-    by more than ``tolerance``. The
-      error estimate then includes this change, and the function warns.
+    * The inertia of a symmetric model with only real poles is omitted if this saves states without
+      a change of the response.
+    * Rounding errors of the full model's entries may change the response by more than
+      ``tolerance``. The error estimate then includes this change, and the function warns.
 
     Parameters
     ----------
@@ -95,13 +97,13 @@ def reduce_model(
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats, optional
         Lowest and highest frequency in Hz. The default is the band of the model. If the model has
-        no band, it ends a little above the fifth natural frequency.
+        no band, the band ends a little above the fifth natural frequency.
     norm : "pointwise" or "peak", default "pointwise"
         Reference of the relative error: the value at the same frequency, or the entry's largest
         value in the band.
     contact : bool, default False
-        Whether to represent a part of the response above the band, which a contact excites, by a
-        third more states.
+        Whether a third more states represent a part of the response above the band, which a contact
+        excites.
     method : str or Reductor, optional
         Method of reduction. By default response POD and the variants
         of balanced truncation that suit the model are tried.
@@ -115,14 +117,15 @@ def reduce_model(
 
     Raises
     ------
-    UsageError : not exactly one of tolerance and order, an empty band, an unknown norm, a
-        tolerance below rounding, an order above that of the response, a model too large for this
-        machine, a model whose output contains derivatives of its input.
+    UsageError : both or none of ``tolerance`` and ``order`` are given; the band is empty; the norm
+        is unknown; the tolerance is below rounding errors; the order exceeds the largest possible
+        order; the model is too large for this machine; or an output contains derivatives of an
+        input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
     --------
-    Block Arnoldi at s0 = 0 keeps the static compliance of four springs of 2000 N/m in series.
+    Block Arnoldi at s0 = 0 preserves the static compliance of four springs of 2000 N/m in series.
 
     >>> from kc2spice.rom.linear_model import Port
     >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
@@ -139,7 +142,7 @@ def reduce_model(
 
 
 def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
-    """Reduce a model to a ``target``, see :func:`reduce`."""
+    """Reduce a model according to a ``target``; see :func:`reduce_model`."""
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
@@ -153,9 +156,9 @@ def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
 class Target:
     """Requirements on a reduced-order model, and the method of reduction.
 
-    ``keep_form`` admits congruences only. ``exact`` requires that the intermediate model is
-    accurate enough for the tolerance. ``space`` is the Krylov space of the model at zero, if it is
-    known from another order.
+    If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the intermediate
+    model must be accurate enough for the tolerance. ``space`` is the Krylov subspace of the model
+    at zero if it is known from a reduction to another order.
     """
 
     tolerance: float | None
@@ -188,7 +191,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
 def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the prescribed band [Hz], otherwise the band of the model, otherwise the default."""
+    """Return the prescribed band [Hz]; without one, the model's band or the default band."""
     if not pencil.B.any() or not pencil.C.any():
         letter = "C" if pencil.B.any() else "B"
         raise UsageError(
@@ -216,12 +219,12 @@ def choose_band(
 def verified_first_step(
     pencil: Pencil, band: tuple[float, float], target: Target
 ) -> tuple[IntermediateModel, StabilityProof]:
-    """The intermediate model, and stability and passivity of the full-order model.
+    """Return the intermediate model, and stability and passivity of the full-order model.
 
-    Unless the target is ``exact``, any error of the intermediate model is accepted, because a later
-    target sets the limit.
+    If the target is not ``exact``, any error of the intermediate model is accepted, because a later
+    target limits the error.
     """
-    # A stiffness that is found to be indefinite is checked again.
+    # The memory is checked again if the stiffness proves to be indefinite.
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
@@ -264,7 +267,7 @@ def find_basis_of_order(
 ) -> tuple[ReducedBasis, int]:
     """Return the best basis of a prescribed order, and the order.
 
-    ``bases`` by name may be known.
+    ``bases`` contains bases that are already known, keyed by the name of the reductor.
     """
     assert target.order is not None
     bases = {} if bases is None else bases
@@ -282,7 +285,7 @@ def find_basis_of_order(
 def find_basis_within(
     task: Task, reductors: Sequence[Reductor], target: Target
 ) -> tuple[ReducedBasis, int]:
-    """The basis of the fewest states within the tolerance, and the order."""
+    """Return the basis that needs the fewest states for the tolerance, and the order."""
     assert target.tolerance is not None
     tolerance = _tolerance_beside_rounding(target.tolerance, task.intermediate)
     if target.method is not None:
@@ -294,8 +297,8 @@ def find_basis_within(
 
 
 def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
-    """The tolerance minus the rounding error, or the whole tolerance if the difference is too
-    small."""
+    """Return the tolerance minus the rounding error, or the tolerance if too little remains.
+"""
     remaining = tolerance - intermediate.floor
     attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
     enough = remaining > min(MAX_INTERMEDIATE_SHARE * tolerance, attainable)
@@ -303,7 +306,7 @@ def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel
 
 
 def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
-    """The basis of a prescribed method."""
+    """Return the basis of a prescribed method."""
     basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
     if reductor.applies_to(task):
         reason = reductor.no_basis
@@ -321,7 +324,7 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
 
 
 def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
-    """Warn if rounding of the full-order model prevents the tolerance."""
+    """Warn if rounding errors of the full-order model's entries exceed the tolerance."""
     if tolerance is None:
         return
     assert rom.certificate is not None
@@ -344,7 +347,7 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
 def _make_congruence(
     target: Target,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
-    """A function that reduces a model within a tolerance over a band by a congruence."""
+    """Return a function that reduces a model within a tolerance over a band by a congruence."""
 
     def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
         return _reduce(
@@ -355,7 +358,7 @@ def _make_congruence(
 
 
 def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
-    """A causal, passive approximation of a model with structural damping."""
+    """Return a causal, passive reduced model of a model with structural damping."""
     if target.tolerance is None:
         raise UsageError(
             "a model with structural damping cannot be reduced to an order",

@@ -1,8 +1,8 @@
-"""Tasks of reductors, and their bases with reduced-order models of every order.
+"""Tasks of reductors, and the bases from which reduced models of every order are made.
 
 A reduction has two steps (Lehner and Eberhard, Multibody Syst. Dyn. 17 (2007) 157). The first step
-makes an intermediate model that is far more accurate than the tolerance. The second step builds a
-basis for it, whose leading vectors give the reduced-order models.
+makes an intermediate model that is far more accurate than the tolerance. The second step computes a
+basis of the intermediate model. The first q vectors of the basis give the reduced model of order q.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from kc2spice.rom.state_space import to_hertz, to_schur_form
 
 # Smallest error estimate, because direct solutions of the response are hardly more accurate.
 MIN_ERROR_ESTIMATE = 1e-11
-# Safety factor of an error measured at samples, because the error between samples is larger. The
-# estimates of 500 random models are one to three times their true errors
-# (tests/physics/test_certificates.py).
+# Safety factor of an error that is computed at samples, because the error between samples is
+# larger. With this factor, the error estimates of 500 random models are one to three times the true
+# errors (tests/physics/test_certificates.py).
 SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
 Coordinates = Literal["intermediate", "first order", "full order"]
-DEPENDENT_VECTOR = 1e-10  # distance of a vector from the span of others, relative to its length
+DEPENDENT_VECTOR = 1e-10  # largest relative distance of a dependent vector from the span of others
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Task:
 
     Examples
     --------
-    A reductor reads ``task.model`` and returns ``task.project(V)``: :class:`Reductor`.
+    A reductor uses ``task.model`` and returns ``task.project(V)``; see :class:`Reductor`.
     """
 
     fom: LinearModel
@@ -89,7 +89,7 @@ class Task:
     def core(self) -> Pencil:
         """Matrices of the intermediate model without rigid-body modes.
 
-        These modes remain if damping couples them to other motions.
+        If damping couples rigid-body modes to other motions, the matrices include them.
         """
         return self.response.core
 
@@ -100,11 +100,11 @@ class Task:
 
     @property
     def states(self) -> int:
-        """First-order states of the intermediate model."""
+        """Number of first-order states of the intermediate model."""
         return self.response.pencil.size * self.response.pencil.degree
 
     def share(self, name: str, compute: Callable[[], T]) -> T:
-        """Return a value by its name, which ``compute`` returns at its first use.
+        """Return the shared value ``name``; at the first use, ``compute`` computes it.
 
         Tasks of the same model that differ only in the tolerance share the value.
         """
@@ -114,13 +114,13 @@ class Task:
 
     @property
     def model(self) -> LinearModel:
-        """The :attr:`core` as dense ``M E K B C D``, in first order ``A E B C D``."""
+        """Model :attr:`core` with dense ``M E K B C D``; a first-order model has ``A E B C D``."""
         core, fom = self.core, self.fom
         return self.share("model", lambda: make_linear_model(core, ports=fom.ports, name=fom.name))
 
     @property
     def first_order(self) -> Response:
-        """The :attr:`core` as ``x' = A x + B u`` in units of the band's end."""
+        """Model :attr:`core` as ``x' = A x + B u``; rates are divided by the end of the band."""
         return self.share("first order", lambda: Response(to_schur_form(self.core, self.band[1])))
 
     @property
@@ -136,19 +136,20 @@ class Task:
         Parameters
         ----------
         V : (n, k) array
-            Real basis vectors, the most important first. The model of order q has the first q.
-            The scale of the columns has no influence: they are scaled to a norm near one.
-            Columns that are almost linearly dependent are orthogonalised in their order.
+            Real basis vectors, the most important vector first. The model of order q uses the first
+            q vectors. The scale of the columns has no influence: they are scaled to a norm near
+            one. Columns that are almost linearly dependent are orthogonalised one after another.
         W : (n, k) array, optional
-            Real test vectors. By default they are V: a congruence, which preserves symmetry,
-            stability and passivity of definite matrices.
+            Real test vectors, by default V. With W = V, the projection is a congruence, which
+            preserves symmetry, stability and passivity of definite matrices.
         fixed : int
             Number of leading vectors that every reduced model contains.
 
         Raises
         ------
-        UsageError : V or W is not a real matrix of finite numbers, one row for each coordinate of
-            :attr:`model`, or its columns are linearly dependent; more fixed vectors than V has.
+        UsageError : V or W is not a real matrix of finite numbers with one row for each coordinate
+            of :attr:`model`; its columns are linearly dependent; or ``fixed`` exceeds the number of
+            columns.
         """
         V = require_vectors(V, "V", (self.core.size, None))
         W = None if W is None else require_vectors(W, "W", V.shape)
@@ -177,7 +178,7 @@ class Task:
         return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
     def with_rigid_body(self, pencil: Pencil) -> Pencil:
-        """Return a projection of :attr:`core` with the rigid-body modes in front."""
+        """Return a projection of :attr:`core` with the rigid-body modes as first unknowns."""
         if self.core is self.response.pencil:
             return pencil
         return pencil.prepend_rigid_body_modes(
@@ -185,18 +186,18 @@ class Task:
         )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
-        """Extend vectors V of :attr:`core` to the intermediate model.
+        """Extend vectors V of :attr:`core` to vectors of the intermediate model.
 
-        Rigid-body modes are in front.
+        The rigid-body modes are the first vectors of the result.
         """
         free = self.response.pencil.size - self.core.size
         return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
 
     @cached_property
     def displacements(self) -> np.ndarray | None:
-        """Unknowns of the intermediate model per state of :meth:`from_first_order`.
+        """Matrix that converts states of :meth:`from_first_order` to the intermediate unknowns.
 
-        The value is None if they also depend on the input.
+        The value is None if the unknowns also depend on the input.
         """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
         parts = [pencil.leading_model(free), self.core] if free else [self.core]
@@ -211,7 +212,7 @@ class Task:
         return np.asarray(scipy.linalg.block_diag(*rows))
 
     def from_first_order(self, pencil: Pencil) -> Pencil:
-        """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
+        """Return a projection of :attr:`first_order` in SI units, with rigid-body modes added."""
         if free := self.response.pencil.free:
             rigid = to_schur_form(self.response.pencil.leading_model(free), self.band[1])
             pencil = pencil.prepend_rigid_body_modes(rigid)
@@ -219,7 +220,7 @@ class Task:
 
 
 def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
-    """Mask of the columns of V that do not depend on columns before them.
+    """Return a mask of the columns of V that do not depend on earlier columns.
 
     The first ``free`` rows are ignored.
     """
@@ -233,13 +234,13 @@ def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ReducedBasis:
-    """A model in the coordinates of a basis, the most important first.
+    """Projected model in the coordinates of a basis, the most important coordinate first.
 
-    The reduced-order model of order q is the leading part of the ``pencil``. Every model contains
-    the first ``fixed`` coordinates: rigid-body modes, and static responses of conservative ports. A
-    ``congruence`` preserves the form of the matrices. ``origin`` begins the text of the
-    certificate. The ``vectors`` are columns in the ``coordinates`` of a model; None if the values
-    are unknown.
+    The reduced-order model of order q consists of the first q unknowns of the ``pencil``. Every
+    reduced model contains the first ``fixed`` coordinates: rigid-body modes, and static responses
+    of conservative ports. If ``congruence`` is true, the projection preserves the form of the
+    matrices. The text of the certificate begins with ``origin``. The ``vectors`` of the basis are
+    columns in the ``coordinates`` of a model, or None if they are unknown.
     """
 
     task: Task
@@ -256,12 +257,12 @@ class ReducedBasis:
         return self.pencil.size
 
     def states(self, order: int) -> int:
-        """Return the first-order states of the model of this order."""
+        """Return the number of first-order states of the model of this order."""
         return order * self.pencil.degree
 
     @property
     def has_only_real_poles(self) -> bool:
-        """Whether the model is symmetric and of first order, as a network of R and C.
+        """Whether the model is symmetric and of first order, like a network of R and C.
 
         A congruence then preserves real poles and passivity.
         """
@@ -275,13 +276,13 @@ class ReducedBasis:
 
     @cached_property
     def responses(self) -> dict[int, Response]:
-        """Responses of models by their order, for all orders computed so far."""
+        """Responses of the reduced models that were computed so far, keyed by order."""
         return {}
 
     def unknowns(self, order: int) -> np.ndarray | None:
-        """Return full-order unknowns per state of the model of this order.
+        """Return the basis (n, order) of this order in unknowns of the full-order model.
 
-        The result (n, order) is None if the vectors are unknown, or are not unknowns of the
+        The result is None if the vectors are unknown, or cannot be expressed in unknowns of the
         full-order model.
         """
         task, V = self.task, self.vectors
@@ -300,7 +301,7 @@ class ReducedBasis:
     def error(self, order: int, limit: float = np.inf) -> float:
         """Estimate the largest relative error of any transfer function in the band.
 
-        Above ``limit`` the result may be any error above ``limit``.
+        If the largest error exceeds ``limit``, the result may be any error above ``limit``.
         """
         exact = self.task.intermediate.error
         difference = self.task.estimator.error(
@@ -316,15 +317,14 @@ class ReducedBasis:
 
     @cached_property
     def preserves_stability(self) -> bool:
-        """Whether reduced models must be stable because the intermediate model is."""
+        """Whether the intermediate model is stable, so that reduced models must be stable too."""
         return not self.congruence or self.proof(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
-        """Whether the model of this order meets the tolerance, and is stable enough.
+        """Return whether the model of this order is acceptable.
 
-        The model must be stable if the intermediate model is stable.
-
-        An unknown stability is acceptable only for a congruence.
+        The model must meet the tolerance, and must be stable if the intermediate model is stable.
+        Only for a congruence, the stability may be unknown.
         """
         if not self.error(order, tolerance) <= tolerance:
             return False

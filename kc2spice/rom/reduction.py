@@ -1,6 +1,6 @@
 """Public functions for the reduction of models.
 
-:func:`reduce` makes one reduced-order model. :class:`Reduction` makes several of one full-order
+:func:`reduce` makes one reduced model. :class:`Reduction` makes several reduced models of one full
 model, which share factorisations and solutions.
 """
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.ranges import ModelOverRanges
 
-# default of the smallest tolerance; one more digit costs one or two more solutions
+# default of the smallest tolerance; a ten times smaller one costs one or two more solutions
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -88,10 +88,10 @@ def reduce(
 ) -> LinearModel | ModelOverRanges:
     """Reduce a linear model to a tolerance or to a number of states.
 
-    The result has the same ports in the same order. Its ``certificate`` states the largest error of
-    any transfer function over ``band`` with respect to ``model``. With ``order``, a symmetric
-    definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10
-    (2021) 279, section 2.3).
+    The result has the same ports in the same sequence. The ``certificate`` of the result contains
+    the largest error of any transfer function over ``band`` with respect to ``model``. If ``order``
+    is given, a symmetric definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and
+    Bechtold, Actuators 10 (2021) 279, section 2.3).
 
     Parameters
     ----------
@@ -105,14 +105,15 @@ def reduce(
         Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
     band : tuple of two floats or texts, optional
         Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. The default is the
-        band of the model. Without one, the band ends a little above the fifth natural frequency.
+        band of the model. If the model has no band, the band ends a little above the fifth natural
+        frequency.
     norm : "pointwise" or "peak", optional
         Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
         entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
-        ports are all signals, and ``"pointwise"`` for all others.
+        ports are all signals, and ``"pointwise"`` for all other models.
     contact : bool, default False
-        Whether the model also represents responses above the band that a contact excites, as models
-        of scenes do.
+        Whether the reduced model also represents responses above the band that a contact excites,
+        like the models of scenes.
     method : str or Reductor, optional
         Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
         truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
@@ -120,8 +121,8 @@ def reduce(
         Krylov"``, ``"IRKA"``, or one of :func:`kc2spice.register_reductor`. By default response POD
         and the variants of balanced truncation that suit the model are tried.
     parameters : mapping, optional
-        Must be empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters, and
-        bodies of a scene have ``rom.parameters``.
+        Must be empty. Parameters are stated elsewhere: in a :class:`kc2spice.AffineModel`, or in
+        the key ``rom.parameters`` of a body of a scene.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
         matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
@@ -137,15 +138,15 @@ def reduce(
 
     Raises
     ------
-    UsageError : not exactly one of ``tolerance`` and ``order``, or a value out of range; an
-        unknown norm or method; a method that does not apply; ``parameters`` that are not empty; a
-        ``solver`` that does not solve.
+    UsageError : both or none of ``tolerance`` and ``order`` are given; a value is out of range; the
+        norm or method is unknown; the method does not apply to the model; ``parameters`` is not
+        empty; or ``solver`` does not solve linear systems.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
     --------
-    Four masses in a row, each 1 g on a spring of 2000 N/m, have their first resonance at 78 Hz. The
-    static compliance at the tip is that of four springs in series, 0.002 m/N.
+    Four masses of 1 g in a row, joined by springs of 2000 N/m, have their first resonance at 78 Hz.
+    The static compliance at the tip is that of four springs in series, 0.002 m/N.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -212,7 +213,7 @@ def reduce(
 
 
 def _reject_unused_options(**options: object) -> None:
-    """Reject options that have no meaning for a model with parameters."""
+    """Reject options that do not apply to a model with parameters."""
     for name, value in options.items():
         if value is not None:
             raise UsageError(
@@ -225,28 +226,30 @@ def _reject_unused_options(**options: object) -> None:
 
 
 class Reduction:
-    """Basis of a full-order model over a band for many reduced-order models.
+    """Several reductions of one full-order model over a band.
 
-    Factorisations and solutions of the full-order model are made once, for ``tolerance``, the
-    smallest required tolerance. A smaller tolerance of :meth:`reduce` extends the basis once more.
+    The full-order model is factorised and solved once, with the accuracy for ``tolerance``, the
+    smallest tolerance that is needed. If :meth:`reduce` is called with a smaller tolerance, the
+    full-order model is solved again.
 
     Parameters
     ----------
     model : LinearModel
         Full-order model of n unknowns, in SI units, without structural damping.
     band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
-        band of the model; for a model without a band it ends just above the fifth natural
+        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. The default is the band
+        of the model. If the model has no band, the band ends a little above the fifth natural
         frequency.
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6
         Smallest tolerance for which the basis is accurate enough.
     method : str or Reductor, optional
-        Method of all reduced-order models. By default response POD and the variants
-        of balanced truncation that suit the model are tried.
+        Method for all reduced models. By default, response POD and the variants of balanced
+        truncation that suit the model are tried.
     points : sequence of floats, optional
-        Expansion points in Hz, for rational Krylov vectors at these points instead of ``method``.
+        Expansion points in Hz. With ``points`` instead of ``method``, the basis consists of
+        rational Krylov vectors at these points.
     solver : callable or "pardiso", optional
         Direct solver, as for :func:`kc2spice.reduce`.
 
@@ -259,8 +262,8 @@ class Reduction:
 
     Raises
     ------
-    UsageError : structural damping, an invalid band or norm, an unknown method, or both a method
-        and points.
+    UsageError : the model has structural damping; the band or norm is invalid; the method is
+        unknown; or both ``method`` and ``points`` are given.
 
     Examples
     --------
@@ -317,7 +320,7 @@ class Reduction:
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Expansion points [Hz] of the basis, in the order of their use.
+        """Expansion points [Hz] of the basis, in the sequence in which they were used.
 
         The tuple is empty for a model that is small enough to be used without reduction.
         """
@@ -325,9 +328,9 @@ class Reduction:
 
     @property
     def basis(self) -> np.ndarray | None:
-        """Basis (n, k): full-order unknowns per unknown of the intermediate model.
+        """Basis (n, k) of the intermediate model in unknowns of the full-order model.
 
-        The basis is None if constraints or massless unknowns are eliminated first.
+        The basis is None if constraints or massless unknowns were eliminated from the full model.
         """
         return self._intermediate.basis if self._pencil.size == self.model.order else None
 
@@ -345,7 +348,8 @@ class Reduction:
 
         Raises
         ------
-        UsageError : the model is not strictly stable, or has more than 2000 states in the basis.
+        UsageError : the model is not strictly stable, or the intermediate model has more than 2000
+            states.
         """
         values = hankel_singular_values(self._task)
         if values is None:
@@ -371,19 +375,20 @@ class Reduction:
             Largest relative error over the band.
         order : int, optional
             Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is
-            required. Unlike :func:`kc2spice.reduce`, all methods are tried. A tolerance may give
-            a more accurate model of the same order, because it improves the basis for that order.
+            required. All methods are tried, unlike with :func:`kc2spice.reduce`. A reduction to a
+            ``tolerance`` may be more accurate at the same order, because its basis is improved.
         method : str or Reductor, optional
             Method of this model only.
 
         Returns
         -------
         LinearModel
-            Reduced-order model with a certificate; its ``reconstruct`` returns displacements.
+            Reduced-order model with a certificate. The method ``reconstruct`` of the model returns
+        displacements.
 
         Raises
         ------
-        UsageError, SimulationError : as :func:`kc2spice.reduce`.
+        UsageError, SimulationError : the same errors as of :func:`kc2spice.reduce`.
         """
         target = replace(self._target, tolerance=tolerance, order=order, exact=True)
         target = replace(target, method=self._target.method if method is None else method)
@@ -406,7 +411,8 @@ class Reduction:
     def peak_error(self, rom: LinearModel) -> float:
         """Return the error estimate of a reduced model relative to the peaks of its entries.
 
-        A model that misses a notch has a large error in the pointwise norm and a small error here.
+        A model with an inaccurate notch has a large error in the norm *pointwise*, but a small
+        error relative to the peaks.
         """
         estimator = self._intermediate.estimator(self.band, "peak")
         difference = estimator.error(Response(rom.pencil.dense()))
@@ -414,14 +420,14 @@ class Reduction:
         return max(estimate, MIN_ERROR_ESTIMATE) + self._intermediate.floor
 
     def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
-        """The best basis of a prescribed order, and the order."""
+        """Return the best basis of a prescribed order, and the order."""
         with use_solver(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
             )
 
     def _basis_within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
-        """The basis of the fewest states within a tolerance, and the order."""
+        """Return the basis that needs the fewest states for a tolerance, and the order."""
         if not self._is_within(tolerance):
             self._prepare(target)
         task = replace(self._task, tolerance=tolerance)
@@ -429,6 +435,6 @@ class Reduction:
             return find_basis_within(task, list_methods(task, target), target)
 
     def _is_within(self, tolerance: float) -> bool:
-        """Whether the basis is accurate enough for a tolerance."""
+        """Return whether the intermediate model is accurate enough for a tolerance."""
         limit = max(MAX_INTERMEDIATE_SHARE * tolerance, self._intermediate.floor)
         return tolerance >= self._tolerance and self._intermediate.error <= limit
