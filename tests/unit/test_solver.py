@@ -71,9 +71,9 @@ def test_definite_matrices_need_a_count_of_negative_eigenvalues(monkeypatch):
     from support import factor
 
     cholesky = []
-    original = factor._factor_banded
+    original = factor._factorise_banded
     monkeypatch.setattr(
-        factor, "_factor_banded", lambda *args: cholesky.append(1) or original(*args)
+        factor, "_factorise_banded", lambda *args: cholesky.append(1) or original(*args)
     )
     for count, needs_cholesky in ((None, True), (0, False)):
         cholesky.clear()
