@@ -1,10 +1,8 @@
-"""Fits that reduce the number of states of a model in the peak norm.
-
-The order is already known.
+"""Fits that further reduce the number of states of a reduced model in the norm *peak*.
 
 A fit of the outputs of a projection, or of the rates and gains of a model with real poles, reduces
-the largest error. Weights follow Lawson's minimax fit: C. L. Lawson, Contributions to the Theory of
-Linear Least Maximum Approximations (1961).
+the largest error, so that fewer states are enough. The fits are minimax fits with Lawson's weights:
+C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
 
 from __future__ import annotations
@@ -21,22 +19,25 @@ from kc2spice.rom.reductors.snapshots import snapshots
 from kc2spice.rom.relaxing_fit import fit_minimax
 from kc2spice.rom.response import Response
 
-# Limits and factors of the fits. Chosen by trial.
-MAX_ORDER = 150  # order up to which outputs are fitted
-MAX_FIT_PARAMETERS = 60  # rates and gains together up to which a relaxing model is fitted
-MAX_ROUNDS = 12  # updates of the weights
-# squared factor of a weight where the error is zero, so that no weight vanishes at once
+# limits and factors of the fits, found by trials
+MAX_ORDER = 150  # largest order for which outputs are fitted
+MAX_FIT_PARAMETERS = 60  # largest number of rates and gains of a relaxing model that is fitted
+MAX_ROUNDS = 12  # largest number of updates of the weights
+# smallest squared factor of a weight in one update, where the error is zero
 MIN_WEIGHT = 0.05
-MAX_FAILURES = 4  # successive orders that may fail, because the error is not monotonic in the order
-HOPELESS_RATIO = 1.5  # error relative to the tolerance at which a fit ends
-# error relative to the tolerance at which a fit ends; the remainder is for the error estimate
+# Number of successive orders that may fail before the search ends. The error may increase with the
+# order.
+MAX_FAILURES = 4
+HOPELESS_RATIO = 1.5  # error, relative to the tolerance, above which a fit ends without success
+# Error, relative to the tolerance, below which a fit ends. The error estimate may be slightly
+# larger.
 SUFFICIENT_RATIO = 0.97
 
 
 def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return a basis with a lower order within the tolerance, if a fit finds one.
+    """Return a basis that meets the tolerance with a lower order, if a fit finds it.
 
-    Otherwise the basis remains.
+    Otherwise the result is ``basis`` and ``order``.
     """
     if basis.task.norm != "peak":
         return basis, order
@@ -50,7 +51,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 def fit_output_matrix(
     basis: ReducedBasis, order: int, tolerance: float
 ) -> tuple[ReducedBasis, int]:
-    """Fit the output matrix C of a model with fewer states, so that its largest error is least."""
+    """Fit the output matrix C of a model with fewer states to minimise the largest error."""
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
@@ -82,7 +83,7 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit rates and gains of fewer states, with which any model is passive.
+    """Fit the rates and gains of a relaxing model with fewer states, which is always passive.
 
     Models with rigid-body modes or with static responses of conservative ports are not changed.
     """
@@ -111,9 +112,9 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
 
 
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Compute a real C with the least squared error of ``C x = y``.
+    """Compute the real matrix C that minimises the squares of ``C x - y``.
 
-    The squared error is summed over all frequencies and inputs.
+    The squares are summed over all frequencies and inputs.
     """
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
     both = [np.vstack([P.real, P.imag]) for P in (left, right)]

@@ -1,13 +1,13 @@
 """Fit of relaxing models, such as networks of R and C, to a response.
 
-A symmetric model of first order with ``E > 0`` and ``A <= 0`` has real poles and symmetric residues
-of rank one (first Foster form),
+A symmetric first-order model with ``E > 0`` and ``A <= 0`` has real poles and symmetric residues of
+rank one (first Foster form),
 
     H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
 
-and every choice of rates ``r_k`` and gains ``g_k`` is stable and passive. A projection needs one
-state more for a tolerance than optimal rates and gains. Here Gauss-Newton steps on ``log r_k`` and
-``g_k`` with weights of Lawson's minimax fit start from a projection.
+and is stable and passive for all rates ``r_k`` and gains ``g_k``. For the same tolerance, optimal
+rates and gains need one state fewer than a projection. This module starts from a projection, and
+optimises ``log r_k`` and ``g_k`` by Gauss-Newton steps with the weights of Lawson's minimax fit.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
@@ -17,12 +17,12 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-MAX_ROUNDS = 25  # updates of the weights
-ROUND_EVALUATIONS = 30  # evaluations of the residuals per round
-# number of rounds after which errors above this multiple of the tolerance end the fit
+MAX_ROUNDS = 25  # largest number of updates of the weights
+ROUND_EVALUATIONS = 30  # largest number of evaluations of the residuals per update
+# number of updates after which the fit ends if the error exceeds HOPELESS_RATIO times the tolerance
 CHECKED_ROUNDS = 4
 HOPELESS_RATIO = 1.5
-MIN_WEIGHT_FACTOR = 0.02  # factor of a weight where the error is small
+MIN_WEIGHT_FACTOR = 0.02  # smallest factor of a weight in an update, where the error is small
 
 
 def fit_minimax(
@@ -38,18 +38,17 @@ def fit_minimax(
     Parameters
     ----------
     rates : (k,) array
-        Positive ``r_k`` [1/s] to start from.
+        Positive start values of ``r_k`` [1/s].
     gains : (k, ports) array
-        ``g_k`` to start from.
+        Start values of ``g_k``.
     s : (n,) array
         Laplace variable [1/s].
     response : (n, ports, ports) array
-        Response without its direct part, symmetric.
+        Symmetric response without the direct term.
     base : (ports, ports) array
         Reference values of relative errors.
     enough : float
-        Error at which the fit ends; it also ends if errors are far above this value after some
-        iterations.
+        Error at which the fit ends. The fit also ends if errors remain far above this value.
 
     Returns
     -------
@@ -107,7 +106,7 @@ def _model(
 def _slopes(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Derivatives (n, entries, unknowns) of :func:`_model` by ``log r_k`` and ``g_k``."""
+    """Return derivatives (n, entries, unknowns) of :func:`_model` by ``log r_k`` and ``g_k``."""
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     answer = 1 / (s[:, None] + rates)
     products = (gains[:, upper[0]] * gains[:, upper[1]]).T
@@ -121,6 +120,6 @@ def _slopes(
 
 
 def _stack_parts(values: np.ndarray) -> np.ndarray:
-    """Real and imaginary parts of (n, entries, ...) as (2 n entries, ...)."""
+    """Return real and imaginary parts of ``values`` (n, entries, ...) as (2 n entries, ...)."""
     flat = values.reshape(-1, *values.shape[2:])
     return np.concatenate([flat.real, flat.imag])

@@ -14,41 +14,42 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import free_part
 
-# Response relative to the sum of its terms below which it is a rounding error of cancellation.
+# Largest response, relative to the sum of its terms, that is a rounding error by cancellation.
 CANCELLATION_ROUNDING = 1e-13
-# Off-diagonal modal damping below this is a rounding error of decoupled damping.
+# Largest relative coupling of modes by damping that is a rounding error.
 COUPLING_ROUNDING = 1e-9
-# Damping ratio below which no float frequency is close enough to the resonance; errors are then
-# measured on its flanks, at this relative distance.
+# Smallest damping ratio of a resonance whose peak can be sampled. Below this ratio, no
+# floating-point frequency is close enough, and errors are computed at the relative distance
+# FLANK_DISTANCE.
 MIN_DAMPING_RATIO = 1e-7
 FLANK_DISTANCE = 1e-4
-MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole, relative to the entry
-VISIBLE_GRID = 50  # frequencies that determine the peaks of entries
+MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole in the response, relative to the entry
+VISIBLE_GRID = 50  # number of frequencies that determine the peaks of entries
 # distances from a resonance in half-widths
 RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
-# frequencies of each grid of a band, linear and logarithmic. Chosen by trial.
+# number of frequencies of each grid of a band, a linear and a logarithmic one; found by trials
 GRID_FREQUENCIES = 200
-# Numbers between which eigenvectors are computed. Chosen by trial.
+# smallest and largest model whose eigenvectors are computed; found by trials
 MIN_UNKNOWNS = 12  # unknowns
 MAX_STATES = 2000  # first-order states
-DECOUPLING_TOLERANCE = 1e-10  # largest relative difference to direct solutions
-# ratio of successive squared frequencies above which the lower one is a rigid-body mode
+DECOUPLING_TOLERANCE = 1e-10  # largest relative difference of decoupled to direct solutions
+# ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
-# Largest condition number of the eigenvectors with which a model is decoupled; the eigenvectors of
-# an unsupported body do not span its states, so that their condition number is larger.
+# Largest condition number of the eigenvectors with which a model is decoupled. The eigenvectors of
+# an unsupported body do not span its states, and have a larger condition number.
 MAX_CONDITION = 1e10
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """Dense pencil in coordinates in which it is diagonal.
+    """Frequency response of a dense pencil, computed in coordinates in which it is diagonal.
 
-    The coordinates must be well-conditioned.
-
-    ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
-    ``decoupled`` means that T is a real congruence (``L = T'``). An uncoupled free motion is
-    solved separately; ``core`` is then the pencil of the other unknowns, otherwise the whole
-    pencil. ``zero`` (outputs, inputs) are entries known to be zero by symmetry.
+    The coordinates must be well-conditioned. ``modes`` is ``(T, L, diagonals)``, with which the
+    unknowns are ``x = T diag(1 / sum_k s^k diagonals_k) L B``, or None without such coordinates. If
+    ``decoupled`` is not None, T is a real congruence (``L = T'``). If rigid-body modes are
+    uncoupled from other unknowns, they are solved separately, and ``core`` is the pencil of the
+    other unknowns; otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of
+    the entries that are known to be zero by symmetry.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Return the modes that decouple the pencil, None without them."""
+        """Modes that decouple the pencil, None if it cannot be decoupled."""
         return self._prescribed_modes or _decouple(self.core)
 
     @cached_property
@@ -89,7 +90,7 @@ class Response:
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
+        """Compute the unknowns ``P(s)^-1 B`` (len(s), n, m) of the pencil."""
         if self.modes is None:
             x = self.core.states(s)
         else:
@@ -101,7 +102,7 @@ class Response:
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
-        """``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
+        """Compute the response ``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
         if self.modes is None:
             H = self.core.transfer(s)
         else:
@@ -112,10 +113,9 @@ class Response:
         return H + self._free.C @ self._free.states(s) if self._free else H
 
     def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
-        """Return a mask (outputs, inputs) of the entries that are only rounding errors of their
-        terms.
+        """Return a mask (outputs, inputs) of the entries that are only rounding errors.
 
-        The mask applies to all ``s``.
+        The terms of such an entry cancel at all ``s``.
         """
         s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
@@ -124,9 +124,10 @@ class Response:
         return np.asarray(size <= CANCELLATION_ROUNDING * terms)
 
     def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz].
+        """Return the peaks (outputs, inputs) of the response H over ``frequency`` [Hz].
 
-        The rigid-body motion is left out, because it grows without bound towards zero.
+        The rigid-body motion is omitted, because its response grows without bound as the frequency
+        approaches zero.
         """
         free = free_part(self.pencil, 2 * np.pi * frequency.max())
         if free is not None:
@@ -134,16 +135,16 @@ class Response:
         return np.asarray(np.abs(H).max(axis=0))
 
     def entries(self, frequency: np.ndarray, H: np.ndarray | None = None) -> Entries:
-        """Properties of the entries of the response H at the frequencies [Hz], by :meth:`peaks`."""
+        """Return the scales of the entries of the response H over ``frequency`` [Hz]."""
         H = self.transfer(2j * np.pi * frequency) if H is None else H
         return Entries.of(H, self.peaks(frequency, H), self.zero)
 
     def _gains(self, s: np.ndarray) -> np.ndarray:
-        """``1 / sum_k s^k diagonals_k`` (len(s), n)."""
+        """Compute the responses ``1 / sum_k s^k diagonals_k`` (len(s), n) of the modes."""
         s = np.asarray(s, dtype=complex)[:, None]
         assert self.modes is not None
         diagonals = self.modes[2]
-        # the certification refuses values that are not finite
+        # values that are not finite cause an error in the certification
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
 
@@ -154,14 +155,14 @@ class Response:
 
     @cached_property
     def _poles(self) -> np.ndarray:
-        """Return the poles of the pencil [1/s]."""
+        """Poles [1/s] of the pencil."""
         return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
     def _oscillating_poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Frequency [Hz], damping ratio and mode of the oscillating poles.
+        """Frequency [Hz], damping ratio and index of the mode of each oscillating pole.
 
-        The modes are -1 if the poles do not belong to modes.
+        The index is -1 if the poles do not belong to modes.
         """
         if not self.decoupled or self.core.degree == 1:
             result = np.empty(0) if self.decoupled else self._poles
@@ -184,7 +185,7 @@ class Response:
         return self._oscillating_poles[:2]
 
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """The resonances inside the band."""
+        """Return the resonances inside the band."""
         frequency, ratio = self.resonances
         inside = _is_inside(frequency, band)
         return frequency[inside], ratio[inside]
@@ -192,8 +193,9 @@ class Response:
     def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Select the resonances in the band that are visible in the response.
 
-        Zeros cancel all other resonances in every entry: modes that no input excites or no output
-        measures, and rigid-body modes whose stiffness is a rounding error.
+        All other resonances are cancelled by zeros in every entry. They belong to modes that no
+        input excites or no output measures, or to rigid-body modes whose stiffness is a rounding
+        error.
         """
         frequency, ratio, mode = self._oscillating_poles
         inside = _is_inside(frequency, band)
@@ -215,10 +217,10 @@ class Response:
 
 
 class DirectResponse(Response):
-    """Dense pencil that is solved at each frequency.
+    """Frequency response of a dense pencil that is computed by a direct solution at each frequency.
 
-    If conductances differ by many orders of magnitude, the modes of an almost singular matrix have
-    larger rounding errors than these solutions.
+    If conductances differ by many orders of magnitude, the matrix is almost singular, and direct
+    solutions have smaller rounding errors than modes.
     """
 
     modes = None
@@ -229,10 +231,10 @@ class DirectResponse(Response):
 
 
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
-    """Compute eigenvectors of ``(P(shift))^-1`` times the inertia in first order.
+    """Compute eigenvectors of ``P(shift)^-1`` times the inertia matrix of the first-order form.
 
-    This form includes unknowns without inertia. The result is None unless the eigenvectors
-    reproduce direct solutions to rounding.
+    This eigenvalue problem is also suitable for unknowns without inertia. The result is None if
+    responses by eigenvectors differ from direct solutions by more than rounding errors.
     """
     sizes = largest_entry(pencil.coefficients[0]), largest_entry(pencil.coefficients[-1])
     if not all(sizes):
@@ -264,23 +266,23 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Finite poles of the diagonals of :func:`_compute_eigenvectors`."""
+    """Return the finite poles of the diagonals of :func:`_compute_eigenvectors`."""
     finite = _has_finite_pole(rest)
     return np.asarray(-rest[finite] / inertia[finite])
 
 
 def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
-    """Return which diagonals of :func:`_compute_eigenvectors` have a finite pole."""
+    """Return a mask of the diagonals of :func:`_compute_eigenvectors` with a finite pole."""
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
 def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """Mask of frequencies [Hz] that are inside the band, and not zero within rounding."""
+    """Return a mask of the frequencies [Hz] that are in the band and not zero within rounding."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
 def _decouple(pencil: Pencil) -> Modes | None:
-    """Decouple a pencil by ``M phi = mu K phi`` if K is definite.
+    """Decouple a pencil with definite K by the modes of ``M phi = mu K phi``.
 
     This eigenvalue problem is better conditioned than the problem with the inverse of M.
     """
@@ -289,7 +291,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        # a stiffness that is a rounding error
+        # the stiffness of a rigid-body mode is a rounding error
         if (mu[1:] > RIGID_MODE_RATIO * np.abs(mu[:-1])).any():
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
@@ -303,8 +305,8 @@ def _decouple(pencil: Pencil) -> Modes | None:
         return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
-    # Relative to the damping of both modes. Any coupling to an undamped mode is above this limit,
-    # and the equations are then solved without decoupling.
+    # The limit is relative to the damping of both modes. Any coupling to an undamped mode exceeds
+    # the limit, and the equations are then solved without decoupling.
     limit = COUPLING_ROUNDING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
@@ -312,11 +314,10 @@ def _decouple(pencil: Pencil) -> Modes | None:
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
-    """Frequencies [Hz] over the band, half linear, half logarithmic.
+    """Return frequencies [Hz] over the band: half of them linear, half logarithmic.
 
-    The logarithmic frequencies cover at most four decades.
-
-    The grid contains zero if the band starts at zero and the static response exists.
+    The logarithmic frequencies cover at most four decades. The grid contains zero if the band
+    begins at zero and the static response exists.
     """
     low, high = band
     start = max(low, 1e-4 * high)
@@ -329,7 +330,7 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
 def sample_resonances(
     frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = RESONANCE_OFFSETS
 ) -> np.ndarray:
-    """Frequencies [Hz] at resonances, and next to them at multiples of their half width."""
+    """Return frequencies [Hz] at resonances, and beside them at multiples of their half-width."""
     sharp = ratio < MIN_DAMPING_RATIO
     width = np.where(sharp, FLANK_DISTANCE, ratio)[:, None] * frequency[:, None]
     both = np.concatenate([-widths[::-1], widths])
@@ -345,7 +346,7 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Drop points closer than ``FLANK_DISTANCE`` to a nearly undamped resonance."""
+    """Omit points closer than ``FLANK_DISTANCE`` to a nearly undamped resonance."""
     sharp = frequency[ratio < MIN_DAMPING_RATIO]
     if not sharp.size:
         return points
@@ -361,9 +362,10 @@ def sample_band(
     static: bool,
     widths: np.ndarray | tuple[float, ...] = (0.0,),
 ) -> np.ndarray:
-    """Choose frequencies [Hz] of a grid, and at multiples of half widths.
+    """Choose frequencies [Hz] of a grid over the band, and at resonances in the band.
 
-    The widths belong to resonances inside the band. Poles without damping are avoided.
+    Beside each resonance, there are frequencies at multiples ``widths`` of its half-width. Poles
+    without damping are avoided.
     """
     at, ratio = response.within(band)
     points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))

@@ -1,8 +1,8 @@
 """Rigid-body modes of a model with their damping, and their exact separation.
 
-Free motions are rigid-body modes and integrators. The response of these modes grows without bound
-towards zero frequency. The rigid-body motion is computed once, made exact, and separated from all
-other unknowns. Bases and peaks refer to the other unknowns.
+Here, rigid-body modes include integrators. The response of these modes grows without bound as the
+frequency approaches zero. They are computed once, their zero stiffness is made exact, and they are
+separated from all other unknowns. Bases and peaks refer to the other unknowns.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ from kc2spice.rom.pencil import (
     largest_entry,
 )
 
-# multiple of n eps of the largest entry below which stiffness, damping or coupling counts as zero
+# Stiffness, damping and coupling count as zero below this multiple of n eps times the largest
+# entry.
 ROUNDING_FACTOR = 8.0
-# Magnitudes of poles of a first-order model, relative to the end of the band: zero within rounding,
-# which affects half of the digits of a double pole, and slow poles of a damped rigid-body mode.
+# Largest poles of a first-order model, relative to the end of the band, that count as zero, and
+# that are slow poles of a damped rigid-body mode. The error of a double pole is the root of eps.
 ZERO_POLE_RATIO = 1e-6
 SLOW_POLE_RATIO = 1e-2
-# multiple of the change of an energy by random rounding of the entries; larger values are energies
+# largest energy that is a rounding error, as a multiple of its change by random rounding of entries
 ENERGY_FACTOR = 30.0
-ENERGY_MARGIN = 4.0  # factor on the random rounding; larger energies are not rounding errors
-# frequency relative to a support's resonance at which the support changes the response by 1e-4
+ENERGY_MARGIN = 4.0  # safety factor on the change of an energy by random rounding
+# ratio of a frequency to a support's resonance at which the support changes the response by 1e-4
 SUPPORT_RATIO = 100.0
-REGULAR_FACTOR = 10.0  # multiple of the limit of singular matrices above which a matrix is regular
-# rates of a chain of integrators in first order, relative to the end of the band (rounding)
+REGULAR_FACTOR = 10.0  # multiple of the limit for singular matrices above which a matrix is regular
+# largest rates of a chain of integrators by rounding errors, relative to the end of the band
 CHAIN_RATE_RATIO = 1e-9
 # bounds on the rounding error of the entries of each coefficient
 Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
-    """A ``pencil`` whose first ``free`` coordinates are its rigid-body motion.
+    """Model ``pencil`` whose first ``free`` coordinates are its rigid-body motion.
 
-    ``columns`` are the columns of all coordinates in the original unknowns. ``static`` states
-    whether the other coordinates have a static response. ``projected`` is the pencil before
-    rounding noise was set to zero, if its form is preserved.
+    The columns of ``columns`` are the coordinates in the original unknowns. If ``static`` is true,
+    the other coordinates have a static response. ``projected`` is the pencil before rounding errors
+    were set to zero, if its form is preserved.
     """
 
     pencil: Pencil
@@ -62,13 +63,14 @@ def split_rigid_body(
 ) -> RigidBodySplit:
     """Transform a dense pencil so that its first unknowns are the rigid-body motion.
 
-    The result is the pencil itself if no motion is free.
+    Without rigid-body motion, the result contains the pencil unchanged.
 
-    If ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is preserved:
-    ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both groups of
-    coordinates. All other models are converted to first order and split at their poles near zero
-    (relative to ``omega``), by both invariant subspaces. ``rounding`` is the bound of the rounding
-    errors, if it is known.
+    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. The
+    form of these models is preserved by a congruence ``V'PV``, in which the other coordinates are
+    orthogonal to X in the inertia. Damping may couple both groups of coordinates. All other models
+    are converted to first-order models, and separated by the invariant subspaces of the poles that
+    are near zero, relative to ``omega``. ``rounding`` is the bound of the rounding errors if it is
+    known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -90,10 +92,10 @@ def split_rigid_body(
 
 
 def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
-    """Make the known rigid-body modes of a projection exact and drop those that no input drives.
+    """Make the rigid-body modes of a projection exact, and omit modes that no input drives.
 
-    The modes are the first ``free`` unknowns. ``rounding`` bounds the errors of the entries of each
-    matrix.
+    The modes are the first ``free`` unknowns. ``rounding`` contains bounds of the errors of the
+    entries of each matrix.
     """
     X = np.eye(pencil.size)[:, :free]
     others = scipy.linalg.null_space((pencil.coefficients[-1] @ X).T)
@@ -103,7 +105,7 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Project on the driven motions of X and on ``others``, orthogonal to X in the inertia."""
+    """Project on the motions X that an input drives, and on ``others``, made orthogonal to X."""
     X = _select_driven(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
@@ -111,8 +113,8 @@ def _split_congruently(
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the rigid-body motion, whose response has no bound; None if there is no rigid-body
-    motion.
+    """Return the pencil of the rigid-body motion, None if there is no rigid-body motion.
+
     """
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
@@ -120,15 +122,16 @@ def free_part(pencil: Pencil, omega: float) -> Pencil | None:
 
 
 def _bound_rounding(pencil: Pencil) -> Rounding:
-    """Bounds of the rounding errors of the entries of a given pencil."""
+    """Return bounds of the rounding errors of the entries of a pencil."""
     limit = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size
     return tuple(limit * np.abs(P) for P in pencil.coefficients)
 
 
 def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """Compute orthonormal columns that K maps to zero within ``rounding``.
+    """Compute orthonormal columns X with ``K X = 0`` within ``rounding``.
 
-    The rounding is evaluated for each entry, so that stiff entries do not hide soft entries.
+    ``rounding`` contains a bound for each entry, so that errors of stiff entries do not hide soft
+    entries.
     """
     rows = rounding.max(axis=1)
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
@@ -137,7 +140,7 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     noise = rows * rounding * columns
     lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
-    # this is an estimate in other norms
+    # the estimate is in another norm, so it has a safety factor
     if inverse > REGULAR_FACTOR * np.sqrt(len(K)) * np.linalg.norm(noise):
         return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
@@ -146,10 +149,10 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
-    """Motions of X (n, motions) whose energy is a rounding error of the entries of K.
+    """Select the motions of X (n, motions) whose energy is a rounding error of the entries of K.
 
-    A known ``rounding`` replaces this bound, because a support may be softer than the bound of all
-    rounding errors together.
+    By default, the bound is the sum of all rounding errors. A known ``rounding`` replaces this
+    bound, because a support may be softer than the bound.
     """
     if not X.size or not is_symmetric(K):
         return X
@@ -163,7 +166,7 @@ def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | Non
 
 
 def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """Return the errors of ``V'PV`` (k, k) from random rounding of the entries of P.
+    """Estimate the errors of ``V'PV`` (k, k) by random rounding of the entries of P.
 
     The rounding errors of the entries are independent, so the squares of their effects add:
     ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
@@ -175,14 +178,14 @@ def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
 
 
 def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
-    """Return the frequency [Hz] below which rounding hides the resonance of a support.
+    """Return the frequency [Hz] below which rounding errors hide the resonance of a support.
 
-    A support of the rigid-body motions X (n, motions) is hidden if it is no stiffer than the
+    A support of the rigid-body motions X (n, motions) is hidden if it is not stiffer than the
     random rounding errors of K. The frequency is zero without rigid-body motions.
 
-    The reduced model leaves out the stiffness of X. If this stiffness exceeds the rounding errors
-    slightly, X has a support of inaccurate stiffness. The function then warns, unless the band
-    starts at ``low`` [Hz], far above the resonance of that support.
+    The reduced model omits the stiffness of X. If this stiffness slightly exceeds the rounding
+    errors, X has a support whose stiffness is inaccurate. The function then warns, unless ``low``
+    [Hz], the begin of the band, is far above the resonance of the support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
@@ -211,14 +214,14 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
-    """Whether ``P X`` is zero within the ``rounding`` of the entries of P and X."""
+    """Return whether ``P X`` is zero within the ``rounding`` of the entries of P and X."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
 def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """Free motions of X that an input moves.
+    """Select the rigid-body motions of X that an input moves.
 
-    All modes are returned if inputs and outputs are not collocated, or if damping couples the
+    All motions are returned if inputs and outputs are not collocated, or if damping couples the
     motions.
     """
     *between, inertia = pencil.coefficients
@@ -229,8 +232,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
-    # Rounding errors of K mix X with motions that no input drives, so the inputs are compared with
-    # their own responses
+    # Rounding errors of K mix X with motions that no input drives. Therefore, inputs are compared
+    # with the response to them.
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
@@ -241,9 +244,10 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
 def project_with_rigid_body(
     pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
 ) -> tuple[Pencil, Pencil]:
-    """Project a dense pencil on V, whose first columns are ``free`` motions.
+    """Project a dense pencil on V, whose first ``free`` columns are rigid-body motions.
 
-    The results are ``V'PV`` without the rounding noise of zero entries, and with it.
+    In the first result ``V'PV``, rounding errors of zero entries are removed. The second result
+    still contains them.
     """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
@@ -256,10 +260,9 @@ def project_with_rigid_body(
 
 
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
-    """Project obliquely on invariant subspaces, poles near zero first.
+    """Project obliquely on right and left invariant subspaces, poles near zero first.
 
-    The subspaces are the right and the left subspace. The coordinates in front show chains of
-    integrators.
+    In the first coordinates, chains of integrators appear as exact zeros.
     """
     rest, inertia = pencil.coefficients
     try:
@@ -288,10 +291,7 @@ def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray
 
 
 def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
-    """Compute an orthonormal basis of the subspace of zero or slow real poles.
-
-    The subspace is invariant.
-    """
+    """Compute an orthonormal basis of the invariant subspace of zero or slow real poles."""
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
     def chosen(x: float, y: float) -> bool:
@@ -305,10 +305,10 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate A to ``Q'AQ``, block triangular with exact zeros.
+    """Rotate A to ``Q'AQ``, which is block triangular with exact zeros.
 
-    The first coordinates do not move. The next vectors move the first vectors at a constant rate,
-    and so on.
+    The first coordinates are constant. The next coordinates change at a rate that the first ones
+    determine, and so on.
     """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):

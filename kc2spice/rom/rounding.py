@@ -1,4 +1,4 @@
-"""Effects of rounding of the entries of a model on its response."""
+"""Effects of rounding errors of a model's entries on its response."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-# relative change of a response due to rounding that the certificate mentions
+# smallest relative change of a response by rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
-ENERGY_ROUNDING = 100.0  # multiple of the rounding error below which a mode has no elastic energy
-# Numbers chosen by trial.
-ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for zero
+ENERGY_ROUNDING = 100.0  # largest elastic energy of a mode that counts as zero, in rounding errors
+# numbers found by trials
+ZERO_FREQUENCIES = 50  # number of frequencies of the band at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
-# lowest and sharpest resonances at which the effect of rounding is evaluated
+# number of the lowest, and of the sharpest, resonances at which rounding effects are evaluated
 CHECKED_RESONANCES = 8
-RANDOM_TRIALS = 4  # random units of the unknowns
-# Share of the target error below which rounding is negligible; trials differ by a factor of less
-# than 10.
+RANDOM_TRIALS = 4  # number of trials with random units of the unknowns
+# Share of the target error below which rounding errors are negligible. Trials differ by a factor of
+# less than 10.
 NEGLIGIBLE_SHARE = 0.01
 TRIAL_FACTOR = 3.0  # safety factor on the largest change in a few trials
 
@@ -42,13 +42,11 @@ def rounding_uncertainty(
     dual: np.ndarray | None = None,
     zero: np.ndarray | bool = False,
 ) -> np.ndarray:
-    """Estimate the relative change of a response by rounding of the entries.
+    """Estimate the relative change of a dense model's response by rounding of the entries.
 
-    The model is dense. The result is the change at each ``frequency`` [Hz].
-
-    ``states`` x (frequencies, n, inputs), and states of the ``dual``, replace the solutions of
-    this function if they are more accurate. Errors of entries that are ``zero`` by symmetry are
-    relative to their row and column.
+    The result is the change at each ``frequency`` [Hz]. By default, this function solves the model
+    and its dual. More accurate solutions ``states`` (frequencies, n, inputs) and ``dual`` replace
+    them. Errors of entries that are ``zero`` by symmetry are relative to their row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
@@ -59,10 +57,10 @@ def rounding_uncertainty(
 def rounding_change(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
-    """Change (frequencies, outputs, inputs) of a response by rounding of entries.
+    """Estimate the change (frequencies, outputs, inputs) of a response by rounding of entries.
 
-    The change is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
-    (frequencies, n, inputs), and ``y`` of the ``dual``.
+    The change is the root of the sum of squares of ``eps |y_i P_ij x_j|``, where ``x``
+    (frequencies, n, inputs) are the states, and ``y`` the states of the dual model.
     """
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
@@ -80,9 +78,9 @@ def zero_entries(
 ) -> np.ndarray | bool:
     """Find the entries (outputs, inputs) of a model that are zero by symmetry.
 
-    A zero entry is negligible nearly everywhere in the band in the ``response`` of the projection
-    on V. At sharp resonances of equal modes, the errors may be larger, up to the effect of
-    rounding of the model's entries.
+    In the ``response`` of the projection on V, an entry that is zero by symmetry is negligible at
+    nearly all frequencies of the band. At sharp resonances of equal modes, it may be as large as
+    the effect of rounding of the model's entries.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
@@ -111,11 +109,10 @@ def zero_entries(
 
 
 def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Return a text about the effect of rounding of the matrices on the response.
+    """Describe the effect of rounding of the matrices on the response, for the certificate.
 
-    The certificate contains this text. ``size`` is the relative change at the frequencies ``at``
-    [Hz]. The text is empty for a negligible change. A change above ``tolerance`` is also printed as
-    a warning.
+    ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The text is
+    empty if the change is negligible. If the change exceeds ``tolerance``, the function also warns.
     """
     worst = int(size.argmax())
     text = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
@@ -129,9 +126,10 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
 
 
 def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """Change of the response by rounding stiffness of a rigid-body motion.
+    """Return the change of the response if the stiffness of rigid-body motions is removed.
 
-    The change is evaluated at the lowest relevant frequency, where it is largest.
+    This stiffness is a rounding error. The change is evaluated at the lowest relevant frequency,
+    where it is largest.
     """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)
@@ -145,13 +143,13 @@ def with_rounding(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Return ``model`` with the effect of rounding on the resonances as its ``floor``.
+    """Return ``model`` with its ``floor``: the effect of rounding errors on the resonances.
 
-    Other units of the unknowns do not change the exact response, but they round the entries of the
-    full model differently. The model in other units is projected on the same directions, and the
-    floor follows from the change of the response. Thin bodies are sensitive, because their elastic
-    forces are small differences of large forces. The trials end if the first change is negligible
-    relative to ``target``, the error of the model.
+    In other units of the unknowns, the exact response is the same, but the entries of the full
+    model have other rounding errors. The model in random units is projected on the same basis, and
+    the floor is computed from the change of the response. Thin bodies are sensitive to rounding
+    errors, because their elastic forces are small differences of large forces. If the first change
+    is negligible relative to ``target``, the error of the model, no other trials are made.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)

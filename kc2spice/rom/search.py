@@ -1,4 +1,4 @@
-"""Search for the least order within a tolerance, for bases of any method."""
+"""Search for the smallest order within a tolerance, for bases of any method."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# States up to which another method is tried only to state in the certificate how many states
-# definite matrices cost; chosen by trial to limit the work.
+# Largest number of states for which other methods are tried only for the certificate, which states
+# how many more states definite matrices need. Found by trials, to limit the computing time.
 MAX_COMPARED_STATES = 200
 # Largest order of a general projection, relative to the order of a congruence, for which the
-# projection is used: it must save a tenth of the states, such as 10 states instead of 11. A
-# congruence of definite matrices becomes resonators, whose form proves stability.
+# general projection is used. It must save a tenth of the states, such as 10 states instead of 11,
+# because only a congruence of definite matrices gives resonators, whose form proves stability.
 SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the least acceptable order with fewer than ``states`` first-order states. The result
-    is None if no order is acceptable. Orders are tried upwards, because the error is not monotonic
-    in the order and models of low order are cheap.
+    """Return the smallest acceptable order with fewer than ``states`` first-order states.
+
+    The result is None if no order is acceptable. All orders are tried in ascending sequence,
+    because the error may increase with the order, and models of low order take little time.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -56,14 +57,12 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
 def select_fewest_states(
     task: Task, reductors: Sequence[Reductor], tolerance: float, *, shorten: bool, keep_form: bool
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis and the order of the fewest states.
+    """Return the basis that needs the fewest states, and the order; congruences are preferred.
 
-    Congruences are preferred.
-
-    A congruence preserves the form of definite matrices, and with it passive resonators. Other
-    projections replace it only if all ports are signals and they save a tenth of the states. With
-    ``keep_form``, other projections never replace the congruence. ``shorten`` lets a reductor find
-    a shorter basis of a congruence.
+    A congruence preserves definite matrices, so that the model consists of passive resonators.
+    Other projections are used only if all ports are signals and a tenth of the states is saved. If
+    ``keep_form`` is true, other projections are never used. If ``shorten`` is true, the reductor
+    tries to find a shorter basis of a congruence.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def select_fewest_states(
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
-    if other and not form:  # a congruence has no advantage if the model has no form to preserve
+    if other and not form:  # without a form to preserve, a congruence has no advantage
         return _prefix_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
@@ -100,8 +99,8 @@ def select_fewest_states(
 def _prove_stability(task: Task) -> StabilityProof | None:
     """Prove stability and passivity of the intermediate model.
 
-    The result is None for a model of first order that is not symmetric, because a congruence then
-    preserves no property.
+    The result is None for a first-order model that is not symmetric, because a congruence does not
+    preserve its properties.
     """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
@@ -112,10 +111,10 @@ def _prove_stability(task: Task) -> StabilityProof | None:
 def _select_fewest(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Basis and order with fewer states, None if no reductor provides them.
+    """Return a basis and an order with fewer than ``states`` states, None if there are none.
 
-    In the peak norm, the best of all bases is used. In the pointwise norm, the first basis is used,
-    because only balancing over the band represents notches.
+    In the norm *peak*, the best of all bases is used. In the norm *pointwise*, the first basis is
+    used, because only balancing over the band represents notches.
     """
     best = None
     for reductor in reductors:
@@ -132,7 +131,7 @@ def _select_fewest(
 def _select_congruence(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float, optional: bool
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """Select the reductor of the least order, its basis and the order.
+    """Select the reductor that gives the smallest order, its basis and the order.
 
     The order is None if no order is acceptable and the result is ``optional``.
     """
@@ -149,7 +148,7 @@ def _select_congruence(
 
 
 def _prefix_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Return basis and order of ``result``, with ``text`` before the origin in the certificate."""
+    """Return ``result`` with ``text`` at the begin of its text for the certificate."""
     basis, order = result
     return replace(basis, origin=text), order
 
@@ -170,7 +169,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
 
 
 def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
-    """Return the error for bases that meet the tolerance with no order."""
+    """Make the error for bases that do not meet the tolerance with any order."""
     error = min(basis.error(basis.size) for basis in bases)
     return make_inaccuracy_error(
         "the tolerance is out of reach",

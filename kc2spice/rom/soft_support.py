@@ -1,8 +1,8 @@
-"""Soft support of a body that nothing holds, for models that need positive stiffness.
+"""Soft support of a body without a support, for models that need positive stiffness.
 
-The rigid-body modes of a body without a support have no stiffness. A soft support gives each of
-them a resonance ``f_s`` far below the band. The relative error of their response at the frequency f
-is ``(f_s / f)^2``.
+The rigid-body modes of a body without a support have no stiffness. With a soft support, each
+rigid-body mode has a resonance ``f_s`` far below the band. The relative error of the response at
+the frequency f is ``(f_s / f)^2``.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import scipy
 
 from kc2spice.rom.linear_model import LinearModel
 
-# Resonance on the soft support relative to the lower end of the band; the relative error in the
-# band is at most its square.
+# Resonance frequency on the soft support, relative to the lower end of the band. The relative error
+# in the band is at most the square of this ratio.
 SOFT_SUPPORT_RATIO = 1e-4
 SOFT_SUPPORT = "soft_support_hz"  # fact of a model with a soft support
-# squared frequency of a rigid-body mode (rounding error), relative to the next mode
+# largest squared frequency of a rigid-body mode by rounding errors, relative to the next mode
 ZERO_FREQUENCY_RATIO = 1e-6
-MAX_COUPLING = 1e-8  # coupling of modes by damping, relative to their damping, that is rounding
-RIGID_ROUNDING = 1e-6  # gain of an electrode in a rigid-body mode that is rounding error
+MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that is a rounding error
+RIGID_ROUNDING = 1e-6  # largest gain of an electrode in a rigid-body mode that is a rounding error
 
 
 def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """Return the modes of a body without a support, on a soft support.
+    """Return the modes of a model whose rigid-body modes have a soft support.
 
-    The model itself is returned if it has no rigid-body modes, if damping couples its modes, or if
-    the band [Hz] begins at 0 Hz.
+    The model is returned unchanged if it has no rigid-body modes, if damping couples its modes, or
+    if the band begins at 0 Hz.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
 
     Examples
     --------
-    Two masses and a spring that nothing holds.
+    Two masses that are joined by a spring have no other support.
 
     >>> import kc2spice as kc
     >>> from kc2spice.rom.soft_support import support_softly

@@ -18,27 +18,29 @@ from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
 from kc2spice.rom.rigid_body import split_rigid_body
 
-# Negative eigenvalue of a semidefinite matrix that is a rounding error of a congruence.
+# Largest negative eigenvalue, relative to the largest one, that is a rounding error of a
+# congruence.
 NEGATIVE_ROUNDING = 1e-12
-# relative growth rate that is a rounding error of an eigenvalue on the imaginary axis
+# largest relative growth rate that is a rounding error of an eigenvalue on the imaginary axis
 GROWTH_ROUNDING = 1e-8
 DEFINITE_EVIDENCE = "definite matrices"
-MAX_FACTORED_UNKNOWNS = 5_000  # unknowns of a matrix whose factor takes less than 0.1 s
-MISS_PROBABILITY = 1e-12  # probability that Lanczos steps miss an eigenvalue below zero
-# largest number of Lanczos steps, and steps between computations of the smallest Ritz value
+MAX_FACTORED_UNKNOWNS = 5_000  # number of unknowns up to which a factorisation takes below 0.1 s
+MISS_PROBABILITY = 1e-12  # probability that Lanczos steps miss a negative eigenvalue
+# largest number of Lanczos steps, and number of steps between computations of the smallest Ritz
+# value
 MAX_LANCZOS_STEPS = 200
 LANCZOS_INTERVAL = 20
-MAX_POLE_STATES = 1200  # first-order states up to which all poles of a full model are computed
+MAX_POLE_STATES = 1200  # largest number of first-order states of which all poles are computed
 
 
 @dataclass(frozen=True)
 class StabilityProof:
     """Stability and passivity of a model, and the evidence for both.
 
-    ``stable`` means that no pole is right of the imaginary axis, so that no motion grows
-    exponentially; the displacement of a free rigid body may increase linearly. A property is None
-    if it is unknown. ``passive`` means that the ports are proven to deliver no net energy.
-    ``proof`` states the evidence for both properties.
+    If ``stable`` is true, no pole is in the right half-plane, so that no motion grows
+    exponentially; the displacement of a free rigid body may increase linearly. If ``passive`` is
+    true, the ports are proven to deliver no net energy. A property is None if it is unknown.
+    ``proof`` describes the evidence for both properties.
     """
 
     stable: bool | None
@@ -51,14 +53,15 @@ def prove_stability(
 ) -> StabilityProof:
     """Prove stability and passivity of a full or reduced model.
 
-    The proof is from the form of the matrices if possible.
+    If possible, the form of the matrices is the proof. A second-order model cannot gain energy if M
+    and K are symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms are skew). If
+    also ``C = B'`` and D >= 0, the model is passive: its powers are force times velocity and
+    voltage times current. Likewise, a first-order model is passive between input and output if E is
+    symmetric positive semi-definite and ``A + A' <= 0``.
 
-    Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
-    are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
-    velocity, voltage and current. A first-order model with E symmetric positive semi-definite and
-    ``A + A' <= 0`` is likewise passive between input and output. Without such a form, stability
-    follows from the poles, and passivity is not claimed; the poles of models with more than
-    ``MAX_POLE_STATES`` states are not known. Known ``poles`` [1/s] are not computed again.
+    Without such a form, the poles show whether the model is stable, and passivity is unknown. The
+    poles are not computed for models with more than ``MAX_POLE_STATES`` states. Known ``poles``
+    [1/s] are not computed again.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -92,7 +95,7 @@ def prove_stability(
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     """Compute all poles; the poles of a rigid-body motion are computed separately.
 
-    The pole pair of a rigid body is accurate to only half of the digits.
+    Otherwise, only half of the digits of the two poles of a rigid-body mode would be correct.
     """
     result = (
         pencil
@@ -109,19 +112,19 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 
 
 def is_dissipative(pencil: Pencil) -> bool:
-    """Return whether the matrices prove passivity: a stored energy exists that only the ports can
-    increase.
+    """Return whether the matrices prove that only the ports can increase the stored energy.
+
     """
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
         return False
-    # otherwise the proof is from mass and stiffness
+    # with proportional damping, mass and stiffness are sufficient for the proof
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
-    # an existing factor of K also proves it
+    # an existing factor of K may also prove that K is definite
     if isinstance(rest, Schur):
         definite = rest.is_proven_definite(pencil.factors.known) and pencil.symmetric
     else:
@@ -130,9 +133,9 @@ def is_dissipative(pencil: Pencil) -> bool:
 
 
 def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Return whether a matrix is symmetric without negative eigenvalues, within rounding.
+    """Return whether a matrix is symmetric positive semidefinite within rounding errors.
 
-    The ``order`` of elimination of sparse matrices may be known.
+    ``order`` is the elimination order of a sparse matrix if it is known.
     """
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
@@ -152,16 +155,14 @@ def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
 
 
 def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
-    """Whether Lanczos steps prove that all eigenvalues are positive.
+    """Return whether Lanczos steps prove that all eigenvalues are positive.
 
-    Rows that are ``empty`` are ignored.
-
-    The least Ritz value x after k steps from a random vector of n numbers exceeds the least
-    eigenvalue by more than ``e spread`` with a probability below ``1.648 sqrt(n) exp(-sqrt(e) (2 k
-    - 1))``. For ``e = x / spread``, this is the probability that an eigenvalue is below zero. A
-    mass matrix with a unit diagonal has x of about 0.1. The proof then takes some 80 products, a
-    tenth of the time of a factor. The result is False if x is too small for
-    :data:`MAX_LANCZOS_STEPS` steps.
+    Rows that are ``empty`` are ignored. After k steps from a random vector of n numbers, x is the
+    smallest Ritz value. The probability that x exceeds the smallest eigenvalue by more than ``e
+    spread`` is below ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this is the
+    probability that an eigenvalue is negative. A mass matrix with a unit diagonal has x of about
+    0.1. The proof then takes some 80 products, a tenth of the time of a factorisation. The result
+    is False if x is so small that more than :data:`MAX_LANCZOS_STEPS` steps would be necessary.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """
@@ -191,11 +192,10 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
 
 
 def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Whether a sparse matrix is semidefinite.
+    """Return whether a sparse matrix is semidefinite, after its diagonal is scaled to one.
 
-    The diagonal of the matrix is scaled to one first. Either Lanczos steps show that all
-    eigenvalues are above zero, or the matrix has a Cholesky factor after rounding errors are added
-    to its diagonal.
+    The proof is either that Lanczos steps show positive eigenvalues, or that the matrix with a
+    small multiple of eps added to its diagonal has a Cholesky factor.
     """
     if not largest_entry(matrix):
         return True
@@ -205,7 +205,7 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
         return False
     T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, diagonal)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T
-    spread = float(abs(scaled).sum(axis=0).max())  # no eigenvalue is larger
+    spread = float(abs(scaled).sum(axis=0).max())  # upper bound of the eigenvalues
     if matrix.shape[0] > MAX_FACTORED_UNKNOWNS and _lanczos_is_positive(scaled, empty, spread):
         return True
     shift = NEGATIVE_ROUNDING * spread

@@ -1,4 +1,4 @@
-"""State-space matrices of linear models without a matrix E."""
+"""State-space matrices A, B, C, D of linear models."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest_en
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# Masses and algebraic parts below this share of the largest count as zero.
+# Masses and algebraic terms below this share of the largest one count as zero.
 MASSLESS = 1e-13
-# Off-diagonal modal damping below this share is a rounding error of proportional damping.
+# largest relative coupling of modes by damping that is a rounding error
 COUPLING = 1e-10
 
 
 def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
-    """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
+    """Return A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
 
-    If the model has an energy, the states are energy coordinates, so ``A + A' <= 0`` for a
-    dissipative model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A
-    decoupled second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``,
-    the end of the band, or by the ratio of stiffness to mass.
+    If the model has an energy, the squares of the states are energies. Then ``A + A' <= 0`` for a
+    dissipative model, ``A = -A'`` for a model without losses, and ``A = A'`` for a symmetric
+    first-order model. A decoupled second-order model has one 2 x 2 block per mode. Positions are
+    scaled by ``top_hz``, the end of the band, or by the ratio of stiffness to mass.
 
     Raises
     ------
-    UsageError : the response depends on derivatives of the input, or the massless part is
-    singular.
+    UsageError : the response contains derivatives of the input, or the block of massless unknowns
+        is singular.
     """
     pencil = pencil.dense()
     if pencil.degree == 1:
@@ -36,7 +36,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
-        # the inertia of a free motion may be small in its units
+        # the inertia of a rigid-body motion may be small in the units of its unknown
         for item in (pencil, pencil.scale_unknowns(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
@@ -55,7 +55,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
 
 
 def _normalise_mass(pencil: Pencil) -> Pencil:
-    """The same model with ``M = 1``, by the inverse of a regular M."""
+    """Return the model with ``M = 1``, multiplied by the inverse of a regular M."""
     K, E, M = pencil.coefficients
     solved = np.linalg.solve(M, np.hstack([K, E, pencil.B]))
     n = len(M)
@@ -87,9 +87,10 @@ def _modal_states(pencil: Pencil, omega: float) -> ABCD:
 
 
 def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """``T'MT = 1``; for a symmetric K, T diagonalises K, and the eigenvalues are also returned.
+    """Return T with ``T'MT = 1``; for a symmetric K, T diagonalises K.
 
-    If K is definite, the modes are computed from ``M phi = mu K phi``, so that low modes are exact.
+    For a symmetric K, the eigenvalues are also returned. If K is definite, the modes are computed
+    from ``M phi = mu K phi``, so that low modes are accurate.
     """
     if largest_entry(K - K.T) > COUPLING * largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
@@ -123,9 +124,9 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
 
 
 def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str) -> ABCD:
-    """Eliminate the unknowns from the r-th on from ``P x = B u``, ``y = C x + D u``.
+    """Eliminate all unknowns after the first r from ``P x = B u``, ``y = C x + D u``.
 
-    Unknowns that are not determined cause an error with the reason ``why``.
+    If these unknowns are not determined, the function raises an error with the reason ``why``.
     """
     if r == len(P):
         return P, B, C, D
@@ -142,7 +143,7 @@ def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int
 
 
 def _energy_states(pencil: Pencil) -> ABCD:
-    """Compute energy coordinates of a symmetric positive definite E.
+    """Compute states whose squares are energies for a symmetric positive definite E.
 
     Algebraic equations are eliminated.
     """
@@ -178,7 +179,8 @@ def _improper_error(why: str) -> UsageError:
 def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     """Convert a model to ``x' = A x + B u`` with A in real Schur form.
 
-    Rates are per rad at ``top`` [Hz]. Gramians and eigenvectors start from this form.
+    Rates are divided by the angular frequency of ``top`` [Hz]. Gramians and eigenvectors are
+    computed from this form.
     """
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)

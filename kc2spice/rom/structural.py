@@ -1,14 +1,15 @@
 """Reduction of models with structural damping, and removal of masses without effect.
 
-Structural damping ``K + j H``, of one material ``K (1 + j eta)``, loses the same share of energy at
-every frequency. Within a band, no causal model has this property without a change of stiffness. A
-circuit is therefore a passive model close to it. Each mode gets the viscous damping ``h_j / w_j``,
-which is exact at its resonance, and relaxations if these are closer
-(:mod:`kc2spice.rom.lossy_modes`). The difference is part of the error estimate. The losses of
-several materials couple modes; that part is viscous damping ``h_ij / (w_i w_j)^(1/2)``.
+Structural damping ``K + j H`` (for one material ``K (1 + j eta)``) loses the same share of energy
+at every frequency. No causal model has this property without a stiffness that changes over the
+band. Therefore, a circuit only approximates structural damping by a passive model. Each mode gets
+the viscous damping ``h_j / w_j``, which is exact at its resonance. If they are more accurate,
+relaxations are used instead (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the
+difference. The losses of several materials couple modes; this coupling becomes viscous damping
+``h_ij / (w_i w_j)^(1/2)``.
 
-An RC ladder or an overdamped chain has real poles only. If its inertia has no effect in the band,
-``E x' + K x = B u`` has half of the states per unknown, and is also passive.
+The poles of an RC ladder or of an overdamped chain are real. If the inertia of such a model has no
+effect in the band, ``E x' + K x = B u`` has half as many states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """
@@ -41,21 +42,21 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-# factor on differences at samples, because differences between the samples are larger
+# safety factor on differences at samples, because differences between the samples are larger
 SAFETY_FACTOR = 1.15
-VISCOUS_SHARE = 0.5  # share of the tolerance for the model with viscous damping
+VISCOUS_SHARE = 0.5  # share of the tolerance for the reduction with viscous damping
 MIN_TOLERANCE = 1e-10  # smallest tolerance of a reduction
-DIRECT_SOLUTIONS = 6  # direct solutions of the full model that check a causal model
-# Rates of relaxations, relative to the resonance, or to the end of the band if this is lower.
+DIRECT_SOLUTIONS = 6  # number of direct solutions of the full model that check a causal model
+# Rates of relaxations, relative to the resonance or to the end of the band, whichever is lower.
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(
     9.0, 4.0, -1.0
 )  # lowest frequencies over the end of a band from zero: the loss remains at zero frequency
 # largest error with relaxations, relative to the error without them, that justifies relaxations
 MAX_ERROR_RATIO = 0.5
-UNCHANGED_SHARE = 0.1  # share of the error limit below which modes are not changed
+UNCHANGED_SHARE = 0.1  # largest error of modes that remain unchanged, relative to the error limit
 REAL_POLE_TOLERANCE = 1e-6  # largest relative imaginary part of a real pole
-ZERO_DAMPING = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
+ZERO_DAMPING = 1e-12  # largest relative eigenvalue of a damping matrix that counts as zero
 MASSLESS_SHARE = 0.5  # share of the tolerance for the removal of masses
 
 
@@ -70,7 +71,8 @@ def approximate_causally(
 
     Parameters
     ----------
-    reduced : reduces a model with viscous damping within a tolerance over a band by a congruence.
+    reduced : function that reduces a model with viscous damping to a tolerance over a band by a
+        congruence.
 
     Raises
     ------
@@ -120,7 +122,7 @@ def _loss_text(model: LinearModel) -> str:
 
 @dataclass
 class _Search:
-    """Search for a passive model, from the reduced model ``small`` with viscous damping."""
+    """Search for a passive approximation of structural damping by a reduced model."""
 
     full: LinearModel
     reduced: Reductor
@@ -128,10 +130,10 @@ class _Search:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce a viscously damped model and return it with the error of its damped modes.
+        """Reduce the model with viscous damping, and return the error of its modes.
 
-        The reduction is repeated if resonances of the structural model are lower than those that
-        the reduction evaluated.
+        If the model with structural damping has lower resonances than the reduction evaluated, the
+        reduction is repeated.
         """
         self._reduce(within)
         if self.raised > 1:
@@ -140,7 +142,7 @@ class _Search:
 
     def _reduce(self, within: float) -> None:
         """Reduce the model with viscous damping."""
-        # the damping is nowhere in the band larger than the structural damping
+        # within the band, this damping is at most the structural damping
         beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = with_viscous_loss(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
@@ -188,8 +190,8 @@ class _Search:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest share of the loss of all modes that can be subtracted without a negative
-        loss."""
+        """Largest share of the modes' losses that can be subtracted without a negative loss.
+"""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -199,7 +201,7 @@ class _Search:
         return float(np.clip(least, 0.0, 1.0))
 
     def model(self, modes: Sequence[Oscillator]) -> LinearModel:
-        """Return the passive model of these modes, with the loss that couples them."""
+        """Return the passive model of ``modes``, including losses that couple them."""
         rest = self.H - self._largest_decoupled_share * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
@@ -216,7 +218,7 @@ class _Search:
     def with_relaxations(
         self, relative_rates: Sequence[float], tolerance: float
     ) -> list[Oscillator]:
-        """Return modes with relaxations for modes whose error falls considerably."""
+        """Return the modes, with relaxations in modes whose error then falls considerably."""
         frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, reference_share(self.norm)) + np.finfo(float).tiny
@@ -243,7 +245,7 @@ class _Search:
         return [trial if use else mode for trial, mode, use in both]
 
     def deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Return the largest difference of the model of these modes to structural damping."""
+        """Return the largest difference of the model of ``modes`` to structural damping."""
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(
@@ -251,13 +253,13 @@ class _Search:
         )
 
     def error(self, modes: Sequence[Oscillator]) -> float:
-        """Return the error estimate with respect to the full model."""
+        """Return the error estimate of the model of ``modes`` with respect to the full model."""
         known = self.small.certificate
         assert known is not None
         return max(self.raised, 1.0) * known.error_estimate + SAFETY_FACTOR * self.deviation(modes)
 
     def verified_error(self, result: LinearModel) -> float:
-        """Largest relative difference to direct solutions of the full model."""
+        """Return the largest relative difference of a model to direct solutions of the full one."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT_SOLUTIONS]
         frequencies = np.r_[
@@ -271,8 +273,8 @@ class _Search:
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies [Hz] at which errors are large, and the structural response at these
-        frequencies.
+        """Return frequencies [Hz] at which errors are large, and the structural response there.
+
         """
         response = Response(self.model(modes).pencil.dense())
         frequency = adaptive_frequencies(response, self.band, False, self.norm)
@@ -282,9 +284,10 @@ class _Search:
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
-        """Ratio of the peaks in the reduction to the peaks with structural damping.
+        """Return the ratio of peaks with the damping of the reduction to peaks of the structure.
 
-        Errors count relative to these peaks.
+        The error of the reduction is relative to the higher peaks, so it is multiplied by the
+        ratio.
         """
         if self.norm == "pointwise":
             return 1.0
@@ -301,7 +304,7 @@ NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates
 def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
     """Replace structural damping H by viscous damping ``beta H``.
 
-    The results are the model, and the factors of M and K in its viscous damping.
+    The results are the model, and the factors of M and K in proportional damping.
     """
     if model.first_order:
         raise UsageError("structural damping applies only to second-order models", where=model.name)
@@ -348,9 +351,9 @@ def first_order_model(
     tolerance: float,
     norm: Norm,
 ) -> LinearModel:
-    """Return a passive model of first order, if the poles are real.
+    """Return a passive first-order model with fewer states than ``reduced_model``.
 
-    The model needs fewer states than ``reduced_model``.
+    If the poles are not real, or if no states are saved, the result is ``reduced_model``.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
@@ -391,7 +394,7 @@ def first_order_model(
 
 
 def _is_singular(E: np.ndarray) -> bool:
-    """Whether a semidefinite matrix is singular: an unknown has no damping."""
+    """Return whether a semidefinite damping matrix is singular: an unknown has no damping."""
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= ZERO_DAMPING * diagonal.max(initial=0.0):
         return True

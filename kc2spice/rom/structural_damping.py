@@ -1,19 +1,20 @@
 """Passive models of a constant loss factor by a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
-model has exactly this property: by the relation of Kramers and Kronig a constant loss factor makes
-the stiffness grow with frequency (A. K. Jonscher, Nature 267 (1977) 673),
+model has exactly this property. By the Kramers-Kronig relation, the stiffness increases with
+frequency if the loss factor is constant (A. K. Jonscher, Nature 267 (1977) 673):
 
-    chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi,
+    chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi
 
-which is ``1 + j eta`` at ``s = j w0``. In a model of finite order it is the sum of a spring and of
-springs in series with dampers (generalised Maxwell model),
+is the factor of stiffness, which equals ``1 + j eta`` at ``s = j w0``. A model of finite order
+approximates it by a spring in parallel with springs in series with dampers (generalised Maxwell
+model),
 
-    chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0,
+    chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0.
 
-passive by its form, whose amplitudes are non-negative least squares over the band. With one inner
-displacement for each term and unknown, the displacement of the damper times ``sqrt(c_k)``, ``K
-chi`` is a symmetric model of constant matrices:
+This model is passive. Non-negative least squares over the band determine the amplitudes ``c_k``.
+There is one inner displacement for each term and unknown: the displacement of the damper times
+``sqrt(c_k)``. With them, ``K chi`` is a symmetric model with constant matrices:
 
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
@@ -36,9 +37,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
 BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both ends of the band
-DEFAULT_DECADES = 4.0  # decades of a band that begins at zero
-POINTS_PER_DECADE = 40  # frequencies per decade at which amplitudes are fitted
-# largest number of relaxations: per decade, and in addition to these
+DEFAULT_DECADES = 4.0  # number of decades over which a fit extends if the band begins at zero
+POINTS_PER_DECADE = 40  # number of frequencies per decade at which amplitudes are fitted
+# The largest number of relaxations is MAX_PER_DECADE for each decade, plus ADDITIONAL_RELAXATIONS.
 MAX_PER_DECADE = 6
 ADDITIONAL_RELAXATIONS = 8
 
@@ -53,7 +54,8 @@ class RelaxingStiffness(EqualByContent):
         ``c_0 >= 0``, the factor at zero frequency.
     amplitudes, rates : (k,) arrays
         ``c_k > 0`` and ``r_k > 0`` [1/s].
-    error : float Largest relative difference to the fitted factor in the band.
+    error : float
+        Largest relative difference to the fitted factor in the band.
     """
 
     constant: float
@@ -62,18 +64,18 @@ class RelaxingStiffness(EqualByContent):
     error: float
 
     def __call__(self, s: np.ndarray) -> np.ndarray:
-        """Complex factor (n,) at the Laplace variable ``s`` (n,) [1/s]."""
+        """Return the complex factor (n,) at the Laplace variable ``s`` (n,) [1/s]."""
         s = np.asarray(s)[..., None]
         return np.asarray(self.constant + (self.amplitudes * s / (s + self.rates)).sum(axis=-1))
 
     @property
     def instantaneous_factor(self) -> float:
-        """Factor of a sudden displacement, ``c_0 + sum_k c_k``."""
+        """Factor of stiffness for a sudden displacement, ``c_0 + sum_k c_k``."""
         return float(self.constant + self.amplitudes.sum())
 
 
 def constant_loss(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
-    """Causal factor of stiffness (n,) of a constant loss factor.
+    """Return the causal factor of stiffness (n,) for a constant loss factor.
 
     Parameters
     ----------
@@ -103,29 +105,30 @@ def relaxing_stiffness(
     sensitivity: Callable[[np.ndarray], np.ndarray] | None = None,
     noncausal: bool = False,
 ) -> RelaxingStiffness:
-    """Fit the fewest relaxations that make a constant loss factor in a band.
+    """Fit the fewest relaxations whose loss factor is constant in a band.
 
     Parameters
     ----------
     loss_factor : float
         ``eta``, the reciprocal of the Q factor.
     at : float
-        Frequency [Hz] at which the stated stiffness holds.
+        Frequency [Hz] at which the stiffness has the value K.
     band : pair of float
-        Ends of the band [Hz]; a band from zero has the loss down to a ten-thousandth of its end.
+        Ends of the band [Hz]. In a band from zero, the loss factor is constant above a
+        ten-thousandth of the upper end.
     error : float
         Largest product of relative difference and ``sensitivity`` in the band.
     sensitivity : callable, optional
-        Relative change of the response per relative change of the stiffness (n,) at frequencies
-        (n,) [Hz], such as the Q factor at a resonance; 1 by default.
+        Function of frequencies (n,) [Hz]. It returns the relative change of the response per
+        relative change of the stiffness (n,), such as the Q factor at a resonance; 1 by default.
     noncausal : bool
-        Fit ``1 + j eta`` at all frequencies instead of :func:`constant_loss`. With this factor,
-        passive models have an error of at least about ``eta / pi log(f2 / f1)``.
+        Whether ``1 + j eta`` is fitted at all frequencies instead of :func:`constant_loss`. The
+        error of a passive model is then at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
     RelaxingStiffness
-        Factor with the smallest error if none is within ``error``.
+        Fitted factor. If no factor is within ``error``, it is the factor with the smallest error.
 
     Raises
     ------
@@ -163,7 +166,7 @@ def relaxing_stiffness(
 def _fit_amplitudes(
     f: np.ndarray, target: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> RelaxingStiffness:
-    """Amplitudes of given rates by non-negative least squares of relative differences."""
+    """Fit the amplitudes for given rates by non-negative least squares of relative differences."""
     s = 2j * np.pi * f[:, None]
     columns = np.column_stack([np.ones(f.size), s / (s + rates)])
     A = columns * (weight / target)[:, None]
@@ -175,25 +178,26 @@ def _fit_amplitudes(
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
-    """The model with ``K`` times a relaxing stiffness, by inner displacements.
+    """Return a model whose ``K`` is multiplied by a relaxing stiffness, with inner displacements.
 
     Parameters
     ----------
     model : LinearModel
-        Symmetric, of second order, small: its matrices become dense. The damping of the model
-        itself is retained.
+        Small, symmetric second-order model, whose matrices become dense. The damping of this model
+        remains.
     stiffness : RelaxingStiffness
         Factor of K.
 
     Returns
     -------
     LinearModel
-        Symmetric, of ``(1 + k) n`` unknowns, of which n have mass. A certificate of ``model`` is
-        not changed: add the error of ``stiffness``, multiplied by Q at resonances.
+        Symmetric model with ``(1 + k) n`` unknowns, of which n have mass. The certificate of
+        ``model`` is not changed. The caller must add the error of ``stiffness``, multiplied by the
+        Q factor at resonances.
 
     Raises
     ------
-    UsageError : a model of first order.
+    UsageError : the model is a first-order model.
     """
     if model.first_order:
         raise UsageError(
@@ -215,19 +219,19 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _corner(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) that acts on the displacement alone."""
+    """Return a matrix (1 + inner, 1 + inner) whose only entry is that of the displacement."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result
 
 
 def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Springs (1 + k, 1 + k) of unit stiffness to the inner displacements."""
+    """Return the matrix (1 + k, 1 + k) of springs of unit stiffness to inner displacements."""
     result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 
 
 def _dampers(stiffness: RelaxingStiffness) -> np.ndarray:
-    """(1 + k, 1 + k) dampers of the inner displacements against ground."""
+    """Return the matrix (1 + k, 1 + k) of dampers between inner displacements and ground."""
     return np.diag(np.r_[0.0, 1 / stiffness.rates])

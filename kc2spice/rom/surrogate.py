@@ -1,4 +1,4 @@
-"""Surrogate models equal to a full-order model over a band within rounding, for checks."""
+"""Surrogate models that equal a full-order model over a band within rounding errors."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.rounding import RANDOM_TRIALS, TRIAL_FACTOR
 
-TARGET_ERROR = 1e-10  # error of a surrogate
-CHECKED_FREQUENCIES = 10  # direct solutions that measure a surrogate
+TARGET_ERROR = 1e-10  # largest error of a surrogate model
+CHECKED_FREQUENCIES = 10  # number of direct solutions that check a surrogate model
 
 
 def make_surrogate(
@@ -20,19 +20,17 @@ def make_surrogate(
 ) -> tuple[LinearModel, float]:
     """Make a projected model that equals the full model over ``band``.
 
-    The second result is the largest measured error of the projected model.
-
-    The basis is built at s = 0 alone; ``CHECKED_FREQUENCIES`` direct solutions of the full model,
-    spread over the band so that none repeats a sampling frequency, are compared in all port pairs.
+    The expansion point of the basis is s = 0. All entries of the response are compared with
+    ``CHECKED_FREQUENCIES`` direct solutions of the full model at irregular frequencies over the
+    band. The second result is the largest error at these frequencies.
 
     Raises
     ------
     SimulationError : the largest relative error exceeds ``TARGET_ERROR`` and the rounding error of
-    the
-        direct solutions; solve directly instead.
+        the direct solutions, so that the caller must solve the full model.
     """
     small = reduce_model(model, order=blocks * len(model.inputs), band=band)
-    golden = (np.sqrt(5) - 1) / 2  # never a rational fraction of the band
+    golden = (np.sqrt(5) - 1) / 2  # irrational, so that checked frequencies are irregular
     frequency = band[0] + (band[1] - band[0]) * np.sort(
         golden * np.arange(1, CHECKED_FREQUENCIES + 1) % 1
     )
@@ -53,10 +51,11 @@ def make_surrogate(
 
 
 def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
-    """Estimate rounding errors of a direct solution ``exact`` (outputs, inputs).
+    """Estimate the relative rounding error of a direct solution ``exact`` (outputs, inputs).
 
-    The result is the largest relative change in other units of the unknowns. Responses of thin
-    bodies are small differences of large forces.
+    The result is the largest relative change of the solution if the unknowns have other units. Thin
+    bodies have large rounding errors, because their responses are small differences of large
+    forces.
     """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
     trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))

@@ -1,20 +1,19 @@
-"""A measured thermal transient as Foster's network with elements that are not negative.
+"""Fit of Foster's network without negative elements to a measured thermal transient.
 
-With the power P switched on or off at t = 0, the temperature is::
+If the power P is switched on or off at t = 0, the temperature is::
 
     T(t) = T_0 +- P Z(t)        Z(t) = sum_k R_k (1 - exp(-t / t_k)),   R_k >= 0
 
-1. Least squares without negative R_k on a logarithmic grid of time constants (C. L. Lawson, R. J.
-   Hanson, Solving Least Squares Problems, 1974, chapter 23) describe the samples as well as any
-   network does. Few R_k are not zero.
-2. The noise follows from the differences of successive residuals of this sum. The groups contain
-no slow deviation.
-3. Neighbours on the grid are joined. The logarithms of all R_k and t_k are refined by bounded least
-   squares.
-4. The two neighbours whose sum describes the samples best are joined, and this step is repeated.
-The sum with the least Bayesian information criterion, ``sum (residual / noise)^2 + parameters
-log(samples)``, is
-   the result (G. Schwarz, Ann. Statist. 6 (1978) 461).
+1. Non-negative least squares on a logarithmic grid of time constants (C. L. Lawson, R. J. Hanson,
+   Solving Least Squares Problems, 1974, chapter 23) describe the samples as well as any network
+   does. Most R_k are zero.
+2. The noise is estimated from the differences of successive residuals of this sum, which contain no
+   slow deviation.
+3. Neighbours on the grid are merged to one time constant. The logarithms of all R_k and t_k are
+   refined by bounded least squares.
+4. The two neighbours whose merger describes the samples best are merged. This step is repeated.
+   The result is the sum with the smallest Bayesian information criterion, ``sum (residual /
+   noise)^2 + parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
 
 from __future__ import annotations
@@ -29,31 +28,33 @@ from scipy.optimize import least_squares, nnls
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.heat_network import FosterNetwork, step_basis
 
-PER_DECADE = 8  # time constants of the grid in each decade
-SHORTEST = 1 / 3  # least time constant, relative to the first time after the step
+PER_DECADE = 8  # number of time constants of the grid in each decade
+SHORTEST = 1 / 3  # smallest time constant, relative to the first time after the step
 LONGEST = 10.0  # largest time constant, relative to the last time
-MOST_CONSTANTS = 12  # time constants of a network, two for each of six decades
-POLISH = 200  # most evaluations of a refinement
-# Ends of a refinement, relative to sum, parameters and slope. They are so far below the noise that
-# rounding of the samples does not change the digits of the elements.
+MOST_CONSTANTS = 12  # largest number of time constants of a network, two for each of six decades
+POLISH = 200  # largest number of evaluations of a refinement
+# Tolerances at which a refinement ends, for the sum, the parameters and the slope. They are far
+# below the noise, so that rounding errors of the samples do not change printed digits of the
+# elements.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
-# Groups of samples in each decade. Least squares use the mean of a group, and the mean of the
-# network over the same samples. A network does not change within 5 % of the time.
+# Number of groups of samples in each decade. Least squares compare the mean of the samples of a
+# group with the mean of the network. Within a group, time changes by 5 %, and the network hardly
+# changes.
 GROUPS_PER_DECADE = 50
-ROUNDING = 1e-9  # least noise, relative to the largest rise: samples of nine digits
-EMPTY = 1e-9  # share of the resistance of a mode that least squares may leave out
-SPREAD = 50.0  # logarithm of the largest ratio of resistances, which a sum does not resolve
-INSIDE = 1e-9  # distance of the logarithms from their limits at the start
-NNLS_STEPS = 30  # most iterations of the least squares for each time constant
+ROUNDING = 1e-9  # smallest noise, relative to the largest rise: samples with nine digits
+EMPTY = 1e-9  # largest share of a mode in the resistance that counts as zero
+SPREAD = 50.0  # largest logarithm of the ratio of two resistances in a network
+INSIDE = 1e-9  # distance of start values from the limits of the logarithms
+NNLS_STEPS = 30  # largest number of iterations of the least squares for each time constant
 UNSETTLED = 1 / 3  # time constants above this share of the last time have not settled
 
 
 @dataclass(frozen=True, eq=False)
 class StepSamples(EqualByContent):
-    """Temperatures (n,) relative to the power [K/W] at times (n,) [s] after the step.
+    """Temperatures (n,) divided by the power [K/W] at times (n,) [s] after the step.
 
-    ``weight`` (n,) is the inverse of the size to which deviations are relative. ``offset`` states
-    whether the temperature before the step is unknown.
+    Deviations are multiplied by ``weight`` (n,). If ``offset`` is true, the temperature before the
+    step is unknown.
     """
 
     time: np.ndarray
@@ -63,7 +64,7 @@ class StepSamples(EqualByContent):
 
     @cached_property
     def _groups(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first sample of each group, and the inverse of the size of its deviation."""
+        """First sample of each group, and weight of the group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
         logs = np.log10(self.time[after] / self.time[after].min())
@@ -74,8 +75,8 @@ class StepSamples(EqualByContent):
     def average_groups(self, table: np.ndarray) -> np.ndarray:
         """Return weighted means (groups, columns) of a table (n, columns) over groups of samples.
 
-        The sum of the squared means is smaller than the sum of the weighted squares of all samples.
-        The difference is the scatter within the groups.
+        The sum of the squared means is the sum of the weighted squares of all samples, less the
+        scatter within the groups.
         """
         first, scale = self._groups
         return np.asarray(
@@ -85,9 +86,10 @@ class StepSamples(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class TransientFit(EqualByContent):
-    """Network of a transient, its ``start`` [K/W] before the step, and weighted residuals (n,).
+    """Network that is fitted to a transient, and its residuals.
 
-    ``noise`` is the standard deviation of the samples in the same weights.
+    ``start`` [K/W] is the temperature before the step, divided by the power. ``residual`` (n,) are
+    weighted residuals. ``noise`` is the standard deviation of the samples with the same weights.
     """
 
     network: FosterNetwork
@@ -97,12 +99,12 @@ class TransientFit(EqualByContent):
 
     @property
     def rms(self) -> float:
-        """Root mean square of the deviation."""
+        """Rms value of the weighted deviation."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
 
 def fit_transient(samples: StepSamples) -> TransientFit:
-    """Fit the network whose deviation is within the noise with the fewest time constants.
+    """Fit the network with the fewest time constants whose deviation is within the noise.
 
     Examples
     --------
@@ -132,8 +134,8 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 
 
 def unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Share of the resistance with time constants that have not settled at the ``last`` time
-    [s]."""
+    """Return the share of the resistance that has not settled at the ``last`` time [s].
+"""
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total
 
@@ -146,7 +148,7 @@ def _criterion(fit: TransientFit) -> float:
 
 
 def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the resistances, none of them negative, and the value before the step."""
+    """Fit the non-negative resistances for given time constants, and the value before the step."""
     columns = step_basis(samples.time, constants)
     if samples.offset:
         one = np.ones((len(samples.time), 1))
@@ -168,7 +170,7 @@ def _residual(
 
 
 def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
-    """Return one time constant for two neighbours on the grid whose resistances are not zero.
+    """Replace neighbouring time constants on the grid by one time constant.
 
     A time constant between two points of the grid appears as a resistance at both points.
     """
@@ -183,7 +185,7 @@ def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
 
 
 def _join_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
-    """Join the two neighbours whose geometric mean describes the samples best."""
+    """Replace two neighbours by their geometric mean, where this describes the samples best."""
     logs = np.sort(np.log(constants))
     trials = list[tuple[float, np.ndarray]]()
     for k in range(len(logs) - 1):

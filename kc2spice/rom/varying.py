@@ -1,21 +1,22 @@
-"""Decoupled resonators with polynomials of parameters as coefficients.
+"""Reduction to decoupled resonators whose coefficients are polynomials of parameters.
 
 The coefficients are frequencies, gains and capacitances over ranges of the parameters. A
-:class:`~kc2spice.rom.parametric.Parametric` model is small, but dense. At many points of its ranges
-this module computes its modes up to above the band and, orthogonal to them, the Ritz vectors of
-other responses to the ports' loads.
+:class:`~kc2spice.rom.parametric.DenseParametricModel` is small, but dense. At many points of the
+ranges, this module computes the modes of the dense model up to above the band. In addition, it
+computes Ritz vectors of the other responses to the ports' loads, which are orthogonal to the modes.
 
-Modes that come close to each other anywhere in the ranges form a block. The frame of a block
-rotates smoothly with the parameters, because it is the frame nearest to that at the middle of the
-range. Thus the functions do not jump if frequencies cross or repel. All other modes are separate
-resonators. The stiffness of a block is ``L L'``. Polynomials give the logarithms of the diagonal
-of L, of the clamped capacitances' Cholesky factor and of the damping. Masses, stiffness and
-damping are therefore positive everywhere in the ranges, and the form of the model proves it
-passive. (Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are
-analytic as long as a gap separates them: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+Modes that come close to each other anywhere in the ranges form a block. The basis of a block (its
+frame) is chosen nearest to the frame at the middle of the range, so that it rotates smoothly with
+the parameters. Therefore, the coefficients do not jump if frequencies cross or repel. All other
+modes are separate resonators. The stiffness of a block is ``L L'``. Polynomials give the logarithms
+of three quantities: the diagonal of L, the diagonal of the Cholesky factor of the clamped
+capacitances, and the damping. Masses, stiffness and damping are therefore positive everywhere in
+the ranges, which proves that the model is passive. Sources: P. H. Schoenemann, Psychometrika 31
+(1966) 1 (nearest frame); T. Kato, Perturbation Theory for Linear Operators, II.4 (invariant
+subspaces are analytic as long as a gap separates them).
 
-A port that moves a body without a support excites its rigid-body modes, which have no logarithm of
-a stiffness. They have a soft support with a resonance far below the band.
+If a port moves a body without a support, it excites the rigid-body modes. The logarithm of their
+stiffness does not exist, so these modes get a soft support with a resonance far below the band.
 """
 
 from __future__ import annotations
@@ -46,30 +47,33 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.soft_support import SOFT_SUPPORT, SOFT_SUPPORT_RATIO, ZERO_FREQUENCY_RATIO
 from kc2spice.rom.stability import prove_stability
 
-# frequency up to which all modes are retained, relative to the end of the band
+# frequency below which all modes are retained, relative to the end of the band
 MODE_BAND_RATIO = 1.2
-EXTRA_MODES = 8  # additional modes; the widest gap among them ends the retained modes
-ZERO_GAIN = 1e-9  # gain of a mode at a port, relative to the largest, that counts as zero
-GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis, keyed by number of axes
+# Number of additional modes above this frequency. The retained modes end at the widest gap between
+# the frequencies of additional modes.
+EXTRA_MODES = 8
+ZERO_GAIN = 1e-9  # largest gain of a mode at a port that counts as zero, relative to the largest
+GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # number of points along an axis, by number of axes
 # highest total degree of the polynomials, keyed by number of axes
 MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
-# Distances of logarithms of squared frequencies, tried in this order; closer modes form one block.
+# Modes form one block if the logarithms of their squared frequencies are closer than a gap. These
+# gaps are tried one after another.
 MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
-KRYLOV_BLOCKS = 4  # blocks of static responses and their changes with frequency
+KRYLOV_BLOCKS = 4  # number of blocks: static responses and their derivatives by squared frequency
 # smallest overlap of the frame of a block with its frame in the middle of the range
 MIN_OVERLAP = 0.2
-CHECK_POINTS = 16  # points of the parameter range at which the error of the fit is estimated
+CHECK_POINTS = 16  # number of points of the ranges at which the error of the fit is estimated
 SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
-RIGID_ROUNDING = 1e-6  # share of a port in a rigid-body mode that is rounding error
+RIGID_ROUNDING = 1e-6  # largest share of a port in a rigid-body mode that is a rounding error
 LAST_GAP = 8.0  # gap of squared frequencies above the last mode if all modes are retained
-MIN_GAP_GAIN = 0.02  # smallest reduction of the logarithm of a gap that justifies one more state
-DEPENDENT_VECTOR = 1e-9  # square of a dependent Ritz vector, relative to the largest
-FULL_CHECKS = 4  # full models, in addition to one at a corner, that only check the result
-# share of the tolerance for the resonators; safety factor on errors at points of the range
+MIN_GAP_GAIN = 0.02  # smallest change of the logarithm of a gap that justifies one more state
+DEPENDENT_VECTOR = 1e-9  # largest squared norm of a dependent Ritz vector, relative to the largest
+FULL_CHECKS = 4  # number of full models, in addition to one at a corner, that only check the result
+# share of the tolerance for the resonators, and safety factor on errors at points of the ranges
 RESONATOR_SHARE = 0.4
 SAFETY_FACTOR = 1.5
-COEFFICIENT_RESOLUTION = 1e-3  # resolution of coefficients, relative to the tolerance
-# factor of COEFFICIENT_RESOLUTION for transfers between ports, whose large terms cancel at notches
+COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to the tolerance
+# additional factor for responses between different ports, in which large terms cancel at notches
 NOTCH_RESOLUTION = 1e-2
 
 
@@ -77,14 +81,19 @@ NOTCH_RESOLUTION = 1e-2
 class Varying(ParameterPolynomials, ModelOverRanges):
     """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges of parameters.
 
-    ``E = alpha + beta L L'``.
+    Here ``E = alpha + beta L L'``, and ``T`` (terms,) are the products of polynomials for the
+    values of the parameters. The fields contain coefficients:
 
-    With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
-    and ``T below`` (q, q) are the entries below the diagonal, in blocks of the sizes ``blocks``;
-    ``T gain`` (q, ports) is g; ``capacitance`` (the logarithms of the diagonal), and ``shared``
-    below it, make the Cholesky factor of D among electrical ports in the same way. ``exp(T
-    rayleigh)`` (2,), with zeros according to ``damped``, times the powers of ``losses``, are alpha
-    and beta. ``facts`` are polynomials too.
+    * ``exp(T diagonal)`` (q,) is the diagonal of L, and ``T below`` (q, q) are the entries below
+    the
+      diagonal, in blocks of the sizes ``blocks``.
+    * ``T gain`` (q, ports) is g.
+    * ``capacitance`` and ``shared`` give the diagonal and the other entries of the Cholesky factor
+      of D between electrical ports in the same way.
+    * ``exp(T rayleigh)`` (2,) times the powers of ``losses`` are alpha and beta; where ``damped``
+    is
+      false, they are zero.
+    * ``facts`` are coefficients of polynomials for the facts of the model.
     """
 
     blocks: tuple[int, ...]
@@ -99,16 +108,16 @@ class Varying(ParameterPolynomials, ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number of states, each a displacement and its velocity."""
+        """Number of resonators, each of which has a displacement and a velocity."""
         return int(self.diagonal.shape[1])
 
     @property
     def electrical(self) -> list[int]:
-        """Columns of the electrical ports."""
+        """Indices of the electrical ports."""
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def at(self, values: Values) -> LinearModel:
-        """Return the resonators at values of all parameters."""
+        """Return the resonators for values of all parameters."""
         T = self.products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
@@ -132,19 +141,19 @@ class Varying(ParameterPolynomials, ModelOverRanges):
 
 
 def reduce_over_ranges(task: RangeTask) -> Varying:
-    """Reduce the models of a task over the ranges of its axes.
+    """Reduce the models of a task over the ranges of its parameters.
 
-    The certificate holds for all values in the ranges. Its error is the largest relative
-    difference, in the norm of the task, times :data:`SAFETY_FACTOR` for points in between. The
-    error is the difference to full models at :data:`FULL_CHECKS` points and a corner that were not
-    used for the reduction, and to the dense model at other points. ``facts`` of the full models
-    remain.
+    The certificate is valid for all values in the ranges. The error in the certificate is the
+    largest relative difference, in the norm of the task, times :data:`SAFETY_FACTOR`. The
+    resonators are compared with full models at :data:`FULL_CHECKS` points and at a corner, which
+    the reduction did not use. At other points, they are compared with the dense model. The result
+    contains the ``facts`` of the full models.
 
     Raises
     ------
-    UsageError : a model that is not symmetric, of second order, damped in proportion and with
-        collocated ports; whose mesh changes its cells within the parameter ranges; or that a port
-        moves without stiffness in a band from 0 Hz.
+    UsageError : the model is not a symmetric second-order model with proportional damping and
+        collocated ports; the cells of the mesh change within the ranges; or a port moves the body
+        without stiffness in a band from 0 Hz.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_facts(task.full)
@@ -172,11 +181,9 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
 def _certify(task: RangeTask) -> tuple[Varying, float]:
     """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
-    The error is the difference to full models.
-
-    Polynomials of a higher degree, from more full models, follow if the dense model differs too
-    much from full models, or if its resonators do. Each degree is compared with separate full
-    models.
+    The error is the difference to full models. If the dense model or the resonators differ too much
+    from full models, the reduction is repeated with more full models and polynomials of a higher
+    degree. Each degree is compared with other full models.
     """
     axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
@@ -211,7 +218,7 @@ def _certify(task: RangeTask) -> tuple[Varying, float]:
 def _difference(
     model: Parametric | Varying, checks: Sequence[tuple[Values, ErrorEstimator, float]]
 ) -> float:
-    """Largest relative difference to the full models of ``checks``."""
+    """Return the largest relative difference of a model to the full models of ``checks``."""
     return max(
         estimator.error(Response(model.at(values).pencil)) + error
         for values, estimator, error in checks
@@ -223,10 +230,10 @@ def interpolate_facts(
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Interpolate the common facts of full models by polynomials.
+    """Interpolate the facts that all full models have by polynomials.
 
-    The degree of the polynomials is the highest that the number of models allows. The result
-    contains the coefficients (terms,) of the products with ``exponents`` (terms, axes).
+    The degree is the highest for which there are enough models. The result contains the
+    coefficients (terms,) of the products of polynomials with ``exponents`` (terms, axes).
     """
     x = [[axis.coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
@@ -242,17 +249,15 @@ def interpolate_facts(
 def make_resonators(
     dense_model: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
 ) -> tuple[Varying, float]:
-    """Make resonators of ``dense_model`` over its ranges.
+    """Convert ``dense_model`` to resonators over its ranges.
 
     The second result is the largest difference of the resonators from ``dense_model`` at random
-    values.
-
-    The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance are
-    used.
+    values. The function selects the fewest Ritz vectors, the smallest blocks and the lowest degree
+    that meet the tolerance.
 
     Raises
     ------
-    UsageError : a motion without stiffness that a port moves, in a band from 0 Hz.
+    UsageError : a port moves the body without stiffness in a band from 0 Hz.
     SimulationError : no common basis is accurate enough over the parameter ranges for the
     tolerance.
     """
@@ -283,7 +288,7 @@ def make_resonators(
 
 
 def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
-    """Return the error of a model ``name`` whose ranges are too wide for the tolerance."""
+    """Make the error for a model ``name`` whose ranges are too wide for the tolerance."""
     return SimulationError(
         problem,
         where=name,
@@ -294,7 +299,7 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
 
 
 def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
-    """Return the values at coordinates of the first axes, and at the middle of the other axes."""
+    """Return parameter values at coordinates ``x`` of the first axes; others are in the middle."""
     known = {
         axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
     }
@@ -304,7 +309,7 @@ def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> di
 def _check_points(
     dense_model: Parametric, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
-    """Yield points of the ranges with estimators by the dense model.
+    """Yield points of the ranges, each with an error estimator that uses the dense model.
 
     The points are the middle, all corners, points of large polynomial deviations, and random
     points.
@@ -319,7 +324,7 @@ def _check_points(
 
 @dataclass(frozen=True, eq=False)
 class _DenseModes:
-    """A dense model: squared frequencies (n,) and M-orthonormal shapes (n, n)."""
+    """Modes of a dense model: squared frequencies (n,) and M-orthonormal shapes (n, n)."""
 
     model: LinearModel
     w2: np.ndarray
@@ -327,9 +332,9 @@ class _DenseModes:
 
 
 class _ModesOverRanges:
-    """Modes of a dense model over its ranges.
+    """Modes of a dense model over the ranges of its parameters.
 
-    ``count`` is the number of modes in the band, which are also modes of the result.
+    ``count`` is the number of modes that the result contains, which include all modes in the band.
     """
 
     def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:
@@ -343,7 +348,7 @@ class _ModesOverRanges:
             p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
-        # a port that moves the rigid body needs its modes, which stay among the others
+        # if a port moves the body, the rigid-body modes remain among the modes
         self.moved = any(map(self._is_moved, points))
         if self.moved and band[0] <= 0:
             raise UsageError(
@@ -363,17 +368,17 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def at(self, x: np.ndarray) -> _DenseModes:
-        """Modes at coordinates of the axes, without motions that have no stiffness."""
+        """Return the modes at coordinates ``x`` of the axes, without motions without stiffness."""
         return self._select_elastic(self._all_modes(x))
 
     def _all_modes(self, x: np.ndarray) -> _DenseModes:
-        """All modes at coordinates of the axes."""
+        """Return all modes at coordinates ``x`` of the axes."""
         model = self.dense_model.at(_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
     @property
     def soft_support(self) -> float:
-        """Resonance [Hz] of a body without a support on its soft support."""
+        """Resonance [Hz] of an unsupported body on its soft support."""
         return SOFT_SUPPORT_RATIO * self.band[0]
 
     def _is_moved(self, p: _DenseModes) -> bool:
@@ -383,7 +388,7 @@ class _ModesOverRanges:
         return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
     def _select_elastic(self, p: _DenseModes) -> _DenseModes:
-        """Leave out the rigid-body modes, or support them softly if a port moves them."""
+        """Return the modes without rigid-body modes, or on a soft support if a port moves them."""
         if self.moved:
             soft = np.full(self.free, (2 * np.pi * self.soft_support) ** 2)
             w2 = np.concatenate([soft, p.w2[self.free :]])
@@ -392,10 +397,10 @@ class _ModesOverRanges:
 
 
 class _ReducedSpace:
-    """Space of selected modes and Ritz vectors of the other modes.
+    """Space of the retained modes, and of Ritz vectors of the other modes.
 
-    The vectors are ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes, j up to
-    ``moments``, with s half of the squared end of the band.
+    The Ritz vectors span ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes i, for j up
+    to ``moments``. Here s is half of the squared end of the band.
     """
 
     def __init__(self, modes: _ModesOverRanges, moments: int) -> None:
@@ -408,7 +413,7 @@ class _ReducedSpace:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
-        # a space has at most as many vectors as dimensions
+        # the space has at most as many vectors as the dense model has unknowns
         large[: max(0, len(w) - rest.size)] = False
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._solve_ritz, modes.points))
@@ -417,14 +422,14 @@ class _ReducedSpace:
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """Project responses on the coordinates of the modes that are not retained."""
+        """Return the responses in the coordinates of the modes that are not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
-        """Squared frequencies (q,) and shapes (n, q); shapes beyond the modes are nearest to the
-        vectors."""
+        """Return the squared frequencies (q,) and shapes (n, q) of modes and Ritz vectors.
+"""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
@@ -432,7 +437,7 @@ class _ReducedSpace:
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
 
     def at(self, x: np.ndarray) -> LinearModel:
-        """The model in this space at coordinates of the axes."""
+        """Return the model in this space at coordinates ``x`` of the axes."""
         p = self.modes.at(x)
         w2, Z = self._solve_ritz(p)
         B = Z.T @ p.model.B
@@ -441,8 +446,8 @@ class _ReducedSpace:
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute stiffness (points, n, n) and gain (points, n, ports) of a block.
 
-        The block contains the states a to b - 1 in frames nearest to the frame at the middle. The
-        result is None if a frame differs too much from the middle frame.
+        The block contains the modes a to b - 1. Its frame at each point is the nearest to the frame
+        at the middle of the ranges. The result is None if a frame differs too much from it.
         """
         if (a, b) not in self._known:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
@@ -459,8 +464,8 @@ class _ReducedSpace:
     def fit_polynomials(self, gap: float, degree: int, tolerance: float) -> Varying | None:
         """Fit polynomials to the data of blocks that are separated by ``gap``.
 
-        The gap is the least logarithm of the ratio of squared frequencies. The result is None if
-        the mode shapes of a block do not change smoothly.
+        The gap is the smallest logarithm of the ratio of squared frequencies of two blocks. The
+        result is None if the mode shapes of a block do not change smoothly.
         """
         modes, dense_model = self.modes, self.modes.dense_model
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
@@ -481,7 +486,7 @@ class _ReducedSpace:
         )
 
         def round_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
-            """Round coefficients (terms, …) to a resolution, below which they are zero."""
+            """Round coefficients (terms, …) to multiples of a resolution."""
             c = np.tensordot(fit, values, 1)
             return np.asarray(np.round(c / grain) * grain)
 
@@ -530,7 +535,7 @@ class _ReducedSpace:
 
 
 def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
-    """Least damping ratio of the modes in the band."""
+    """Return the smallest damping ratio of the modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2])
     w = w[w > SOFT_SUPPORT_RATIO * 2 * np.pi * band[0] * (1 + ZERO_FREQUENCY_RATIO)]

@@ -1,4 +1,4 @@
-"""Files of models over ranges of parameters: an ``.npz`` archive of polynomials."""
+"""Files of models over ranges of parameters: ``.npz`` archives of coefficients of polynomials."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from kc2spice.rom.varying import Varying
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
 _HEAT_MARK = "powers.npy"
-_MARKS = {"exponents.npy", _HEAT_MARK}  # files in archives of models over ranges
-_MAX_DEGREE = 30  # degree of a polynomial, more than any reduction uses
+# an archive of a model over ranges of parameters contains one of these files
+_MARKS = {"exponents.npy", _HEAT_MARK}
+_MAX_DEGREE = 30  # largest degree of a polynomial in a file, more than any reduction uses
 
 
 def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[str]:
-    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate for readers.
+    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate.
 
-    Returns the file names, the ``.npz`` first.
+    Returns the file names, the ``.npz`` file first.
     """
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
-    assert isinstance(model, Varying)  # there are two kinds of models over ranges
+    assert isinstance(model, Varying)  # the only other kind is HeatOverRanges
     content = describe_ranges(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
@@ -41,7 +42,7 @@ def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[st
 
 
 def is_varying(path: Path) -> bool:
-    """Whether a file is an archive that :func:`write_varying` wrote."""
+    """Return whether a file is an archive that :func:`write_varying` wrote."""
     try:
         with zipfile.ZipFile(path) as archive:
             return not _MARKS.isdisjoint(archive.namelist())
@@ -50,7 +51,7 @@ def is_varying(path: Path) -> bool:
 
 
 def _contains_heat(path: Path) -> bool:
-    """Whether a file is an archive of a heat model over ranges."""
+    """Return whether a file is an archive of a heat model over ranges of parameters."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _HEAT_MARK in archive.namelist()
@@ -75,7 +76,7 @@ def read_varying(path: Path | str) -> ModelOverRanges:
 
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:
-    """Make the model from its arrays and its record, which are checked."""
+    """Check the arrays and the record of a file, and make the model from them."""
     from pydantic import TypeAdapter  # imported here, because runs read no such file
 
     common = parse_ranges(record)

@@ -1,8 +1,8 @@
 """Balanced truncation over all frequencies, by the Gramians of a stable model.
 
-Balanced coordinates are in the order in which states are controllable and observable. Inputs and
-outputs are scaled by the peaks of the response, so that small and large entries have equal
-weights.
+Balanced coordinates are sorted by controllability and observability of the states, largest first.
+Inputs and outputs are scaled by the peaks of the response, so that small and large entries have
+equal weights.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from kc2spice.rom.pencil import Pencil, explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
-# Limits of the work, which grows with the cube of the number of states; chosen by trial.
-MAX_STATES = 2000  # first-order states up to which dense Gramians are computed
-MAX_UNSCALED_STATES = 500  # first-order states up to which a second pair of Gramians is tried
-# Least decay of the slowest pole in e-folds per radian at the end of the band. Gramians of slower
-# poles are rounding.
+# Limits for the computing time, which grows with the cube of the number of states; found by trials.
+MAX_STATES = 2000  # largest number of first-order states for dense Gramians
+MAX_UNSCALED_STATES = 500  # largest number of first-order states for a second pair of Gramians
+# Smallest decay rate of a pole, relative to the angular frequency at the end of the band. Gramians
+# of slower poles are rounding errors.
 MIN_DECAY = 1e-9
 SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
-HANKEL_ROUNDING = 1e-13  # Hankel singular values below this, relative to the largest, are rounding
+HANKEL_ROUNDING = 1e-13  # largest relative Hankel singular value that is a rounding error
 NOT_STABLE_TEXT = "the model is not strictly stable"
 
 
 class BalancedTruncation(Reductor):
     """Balanced truncation by the square root method.
 
-    With the Gramians ``P = R R'`` and ``Q = L L'`` of a stable model in first order and the
-    singular value decomposition ``L'R = U S Z'``, the projection is ``V = R Z S^(-1/2)`` and
-    ``W = L U S^(-1/2)``. The error of order q is at most ``2 (s_(q+1) + s_(q+2) + ...)`` in the
-    largest singular value over all frequencies.
+    With the Gramians ``P = R R'`` and ``Q = L L'`` of a stable first-order model and the singular
+    value decomposition ``L'R = U S Z'``, the projection is ``V = R Z S^(-1/2)`` and ``W = L U
+    S^(-1/2)``. For order q, the largest singular value of the error at any frequency is at most
+    ``2 (s_(q+1) + s_(q+2) + ...)``.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class BalancedTruncation(Reductor):
 
     Examples
     --------
-    Two relaxations of which one is a million times weaker: one state is enough.
+    If one of two relaxations is a million times weaker, one state is enough.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -62,7 +62,7 @@ class BalancedTruncation(Reductor):
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
     def obstacle(self, task: Task) -> str:
-        """Return why the model has no Gramians, or why scale factors have no effect."""
+        """Return the reason why the model has no Gramians, or why scale factors have no effect."""
         reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason
@@ -84,10 +84,9 @@ class BalancedTruncation(Reductor):
 
 
 def hankel_singular_values(task: Task) -> np.ndarray | None:
-    """Return the Hankel singular values in descending order.
+    """Return the Hankel singular values of the intermediate model in descending order.
 
-    The values belong to the intermediate model. The result is None if the model is not strictly
-    stable or too large.
+    The result is None if the model is not strictly stable or too large.
     """
     if not has_gramians(task):
         return None
@@ -99,7 +98,7 @@ def hankel_singular_values(task: Task) -> np.ndarray | None:
 def _gramian_roots(
     model: Pencil, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Compute roots of both Gramians with scaled outputs and inputs.
+    """Compute square roots of both Gramians with scaled outputs and inputs.
 
     Outputs and inputs are divided by ``rows`` and ``columns``. The result is None if the model is
     not strictly stable.
@@ -112,9 +111,10 @@ def _gramian_roots(
 
 
 def has_gramians(task: Task) -> bool:
-    """Whether dense Gramians exist and are small enough.
+    """Return whether dense Gramians exist and are small enough.
 
-    The model is stable at rest, and no damping couples rigid-body modes to other motions.
+    The Gramians exist if the model has a static response, and if no damping couples rigid-body
+    modes to other motions.
     """
     return not explain_no_gramians(task)
 
@@ -138,10 +138,10 @@ def explain_too_large(states: int, largest: int) -> str:
 def balanced_basis(
     task: Task, model: Pencil, controllable: np.ndarray, observable: np.ndarray
 ) -> ReducedBasis | None:
-    """Balance a model ``x' = A x + B u`` by roots of both Gramians.
+    """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
 
-    The result is None if double precision cannot represent the product of the roots, such as for a
-    model with poles at 1e21 1/s.
+    The result is None if double precision cannot represent the product of the square roots, such as
+    for a model with poles at 1e21 1/s.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = observable.T @ controllable
@@ -162,9 +162,9 @@ def balanced_basis(
 
 
 def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return scale factors of rows and columns whose products are closest to ``size``.
+    """Return factors of rows and columns whose products are closest to ``size``.
 
-    The array ``size`` is (..., rows, columns), and the distance is measured in logarithms.
+    The array ``size`` is (..., rows, columns). The logarithms of products and sizes are compared.
     """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]
@@ -172,12 +172,13 @@ def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
-    """Compute R with ``X = R R'`` of ``T X + X T' = -Q Q'``, or of T transposed.
+    """Compute a square root R of the solution ``X = R R'`` of ``T X + X T' = -Q Q'``.
 
-    T is in real Schur form. Rounding may leave X slightly indefinite.
+    T is in real Schur form. If ``transposed``, T is replaced by T'. By rounding errors, X may be
+    slightly indefinite.
     """
     C = -Q @ Q.T
-    if transposed:  # in reverse order the transposed form is again in Schur form
+    if transposed:  # in reverse order, T' is again in Schur form
         X = _solve_sylvester(T.T[::-1, ::-1], T.T[::-1, ::-1], C[::-1, ::-1])[::-1, ::-1]
     else:
         X = _solve_sylvester(T, T, C)
@@ -188,8 +189,8 @@ def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
 
-    Products of large blocks replace most of the columns that LAPACK solves one after the other.
-    (I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.)
+    LAPACK would solve one column after another. Products of large blocks replace most of this work.
+    Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.
     """
     rows, columns = C.shape
     if max(rows, columns) <= SYLVESTER_BLOCK:

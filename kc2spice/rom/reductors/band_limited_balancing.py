@@ -14,9 +14,9 @@ from kc2spice.rom.reductors.balanced_truncation import (
 )
 from kc2spice.rom.reductors.base import Reductor
 
-# first-order states up to which the method is tried: a limit of the work, by trial
+# largest number of first-order states for which the method is tried; a limit found by trials
 MAX_STATES = 900
-# In the peak norm, which ignores notches, every fourth sample is used. Chosen by trial.
+# In the norm *peak*, which ignores notches, every fourth sample is enough; found by trials.
 PEAK_NORM_STEP = 4
 
 
@@ -24,13 +24,13 @@ class BandLimitedBalancing(Reductor):
     """Balanced truncation with Gramians that are sums over samples in the band.
 
     The Gramians are quadratures of ``x x*`` and ``y y*`` with the states ``x = (j w - A)^-1 B`` and
-    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. Weights make the integrand the
-    relative error in the norm of the task: relative to the peak, or to the response at the same
-    frequency.
+    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. With the weights, the
+    integrand is the relative error in the norm of the task: relative to the peak, or to the
+    response at the same frequency.
 
     Examples
     --------
-    A relaxation far above the band needs no state of its own over a narrow band.
+    The result is smaller than the model, because one relaxation is far above the band.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -49,7 +49,7 @@ class BandLimitedBalancing(Reductor):
     congruence = False
 
     def obstacle(self, task: Task) -> str:
-        """Return why the model is too large, or why its samples take too long."""
+        """Return the reason why the model is too large, or why its samples take too long."""
         reason = explain_no_gramians(task) or explain_too_large(
             task.first_order.pencil.size, MAX_STATES
         )
@@ -74,10 +74,10 @@ class BandLimitedBalancing(Reductor):
 
 
 def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of inputs and outputs at each frequency.
+    """Return the weights of inputs and outputs at each frequency.
 
-    The weights belong to an integral over the band of errors relative to ``base`` (frequencies,
-    outputs, inputs).
+    With these weights, a sum over the frequencies is an integral over the band of errors relative
+    to ``base`` (frequencies, outputs, inputs).
     """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
     rows, columns = balancing_factors(base)
@@ -85,7 +85,7 @@ def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _sum_square_root(x: np.ndarray) -> np.ndarray:
-    """Real square root of the sum of ``x x*`` over all samples."""
+    """Return a real square root of the sum of ``x x*`` over all samples."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
     return np.asarray(

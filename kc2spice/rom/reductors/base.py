@@ -1,4 +1,4 @@
-"""The interface of a method of reduction."""
+"""Base class of methods of model order reduction."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class Reductor(ABC):
 
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
-    methods. ``congruence`` states whether the projection is a Galerkin projection, which preserves
-    the form of the matrices: it is True by default. ``no_basis`` states the reason if :meth:`basis`
-    returns None.
+    methods. ``congruence`` (by default True) states that the projection is a Galerkin projection,
+    which preserves the form of the matrices. ``no_basis`` is the reason that error messages contain
+    if :meth:`basis` returns None.
 
     Examples
     --------
-    Modal truncation keeps the modes of lowest frequency. Three springs of 1 N/m in series have a
-    compliance of 3 m/N at the end; the lowest mode has 2.742 m/N of it.
+    Modal truncation retains the modes of lowest frequency. Three springs of 1 N/m in series have a
+    compliance of 3 m/N at the end, of which the lowest mode represents 2.742 m/N.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -63,9 +63,9 @@ class Reductor(ABC):
         Parameters
         ----------
         task : Task
-            Its ``model`` is the model to be projected: dense matrices in coordinates that need not
-            be the unknowns of the full-order model. ``band``, ``norm`` and ``tolerance`` state the
-            target.
+            Model and required accuracy. ``task.model`` contains the dense matrices to be projected.
+            The coordinates of these matrices may differ from the unknowns of the full-order model.
+            ``task.band``, ``task.norm`` and ``task.tolerance`` are the required accuracy.
         """
 
     def shorten_basis(
@@ -83,8 +83,8 @@ def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
 
     Raises
     ------
-    UsageError : the value is neither a basis nor None, or the projection is not the congruence
-    that the method states.
+    UsageError : the value is neither a basis nor None, or the method declares a congruence but the
+        projection is not a congruence.
     """
     if result is None:
         return None

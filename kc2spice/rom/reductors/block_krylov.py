@@ -1,7 +1,7 @@
 """Block Krylov subspace at one expansion point, s0 = 0.
 
-The bases of all orders are nested. The static response of all ports is exact, and each block of
-vectors matches two moments of a model with definite matrices.
+The basis of a larger order contains the bases of all smaller orders. The static responses to all
+ports are exact, and each block of vectors matches two moments of a model with definite matrices.
 """
 
 from __future__ import annotations
@@ -17,26 +17,27 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Blocks beyond the requested order for the error estimate: the change due to the second block shows
-# whether the first block was sufficient. Chosen by trial.
+# Number of blocks beyond the requested order for the error estimate: the change by the second block
+# shows whether the first block was sufficient. Found by trials.
 EXTRA_BLOCKS = 2
-# Vectors for a tolerance, per state of the intermediate model, which may have several expansion
-# points. Chosen by trial.
+# Number of vectors for a tolerance, relative to the number of states of the intermediate model,
+# which may have several expansion points. Found by trials.
 VECTORS_PER_STATE = 2
-# Share of a candidate's length outside the basis below which it is rounding noise.
+# Largest share of a candidate's length outside the basis that is a rounding error.
 DEFLATION_LIMIT = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
 class BlockKrylov(Reductor):
-    """Block Krylov vectors at zero by block Arnoldi with K as inner product.
+    """Block Krylov vectors at zero frequency by block Arnoldi with the inner product of K.
 
-    ``span{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6 and 7 of the
-    reference). The model has a definite K, and proportional or no damping.
+    The vectors span ``{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6
+    and 7 of the reference). K must be definite, and damping proportional or zero.
 
     Examples
     --------
-    One vector for one port: the static compliance of four springs of 2000 N/m in series is exact.
+    With one vector for one port, the static compliance of four springs of 2000 N/m in series is
+    exact.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -51,7 +52,7 @@ class BlockKrylov(Reductor):
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
     def obstacle(self, task: Task) -> str:
-        """Return why K is not definite, or the damping is neither proportional nor zero."""
+        """Return the reason: K is not definite, or damping is neither proportional nor zero."""
         if is_definite(pencil := task.pencil, undamped_too=True):
             return ""
         if pencil.degree == 1:
@@ -64,7 +65,7 @@ class BlockKrylov(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return nested Krylov vectors and the full-order model projected on them."""
-        if not task.intermediate.proof:  # the space exists if the order is prescribed
+        if not task.intermediate.proof:  # with a prescribed order, the subspace exists
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
@@ -72,7 +73,7 @@ class BlockKrylov(Reductor):
 
 
 def krylov_space(pencil: Pencil) -> BlockArnoldi:
-    """Return the block Krylov space of a definite model at zero."""
+    """Return the block Krylov subspace of a definite model at zero frequency."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
     return BlockArnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B)
@@ -81,7 +82,7 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
     """Return at most ``count`` block Krylov vectors of a definite model.
 
-    The expansion point of the Krylov space is zero frequency.
+    The expansion point of the Krylov subspace is zero frequency.
     """
     return krylov_space(pencil).vectors(count)
 
@@ -89,11 +90,9 @@ def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Return the Krylov model of two blocks more than ``order``.
+    """Return the Krylov model with two blocks more than ``order``, for an error estimate.
 
-    The larger model is used to estimate the error.
-
-    ``space`` is the Krylov space of the model, if it is known.
+    ``space`` is the Krylov subspace of the model if it is known.
     """
     count = order + EXTRA_BLOCKS * pencil.B.shape[1]
     V = (space or krylov_space(pencil)).vectors(count)
@@ -104,11 +103,10 @@ def nested_model(
 def block_arnoldi(
     stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray, order: int
 ) -> np.ndarray:
-    """Compute a basis V (n, q) of ``span{X, AX, A^2 X, ...}``, ``V'KV = 1``.
+    """Compute a basis V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
 
-    ``X = K^-1 B`` and ``A = K^-1 M``.
-
-    The basis has ``order`` columns, see :class:`BlockArnoldi`.
+    Here ``X = K^-1 B`` and ``A = K^-1 M``. The basis (n, order) has ``order`` columns; see
+    :class:`BlockArnoldi`.
     """
     return BlockArnoldi(stiffness, solve, mass, B).vectors(order)
 
@@ -116,22 +114,20 @@ def block_arnoldi(
 class BlockArnoldi:
     """Nested bases V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
 
-    ``X = K^-1 B`` and ``A = K^-1 M``.
-
-    The columns are in the order of the ports, so bases are nested: the first q columns are the
-    basis of order q. The last block may be incomplete. The first block contains the static
-    responses to all ports; a one-sided projection on it matches 2 moments per block. Further
-    columns continue the recursion of the last columns.
+    Here ``X = K^-1 B`` and ``A = K^-1 M``. The first q columns of V are the basis of order q. The
+    columns of a block have the sequence of the ports, and the last block may be incomplete. The
+    first block contains the static responses to all ports. A one-sided projection matches two
+    moments per block.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
         self._solve, self._mass = solve, mass
         self._basis = OrthonormalBasis(stiffness, B.shape[0])
-        # right-hand sides of the next block; empty if there is none
+        # right-hand sides of the next block, empty if there is no next block
         self._right_sides: np.ndarray = B
 
     def vectors(self, count: int) -> np.ndarray:
-        """Return the first ``count`` columns; fewer if the Krylov space is exhausted."""
+        """Return the first ``count`` columns, or fewer if the Krylov subspace has fewer."""
         while self._basis.vectors.shape[1] < count and self._right_sides.shape[1]:
             columns, _ = self._basis.extend(self._solve(self._right_sides))
             self._right_sides = self._mass(columns)
@@ -139,9 +135,9 @@ class BlockArnoldi:
 
 
 class OrthonormalBasis:
-    """Basis V (n, k) with ``V'KV = 1`` that grows by blocks, and the products ``K V``.
+    """Basis V (n, k) with ``V'KV = 1`` to which blocks are added, and the products ``K V``.
 
-    With these products, inner products in K are ordinary inner products.
+    With the products ``K V``, no product with K is needed for inner products ``V'K x``.
 
     Examples
     --------
@@ -158,7 +154,7 @@ class OrthonormalBasis:
 
     @property
     def vectors(self) -> np.ndarray:
-        """The basis V (n, k)."""
+        """Basis V (n, k)."""
         return self._vectors[:, : self._count]
 
     @property
@@ -169,10 +165,10 @@ class OrthonormalBasis:
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Extend the basis by candidates (n, m), and return the new columns V and ``K V``.
 
-        Dependent candidates are deflated.
+        Candidates that depend on earlier vectors are omitted.
         """
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
-        # One product for the whole block: a product for each column takes several times as long.
+        # One product for the whole block takes a fraction of the time of a product for each column.
         candidates = candidates - self.vectors @ (self.stiffness_products.T @ candidates)
         self._reserve(candidates.shape[1])
         old = self._count
@@ -196,7 +192,7 @@ class OrthonormalBasis:
         self._count = both.stop
 
     def _reserve(self, count: int) -> None:
-        """Allocate ``count`` further columns, and at least double the number of columns."""
+        """Allocate memory for ``count`` more columns, and for at least twice as many as before."""
         if self._count + count <= self._vectors.shape[1]:
             return
         shape = len(self._vectors), 2 * self._count + count

@@ -1,4 +1,4 @@
-"""Balanced truncation of symmetric models of first order, such as networks of R and C.
+"""Balanced truncation of symmetric first-order models, such as networks of R and C.
 
 Both Gramians of such a model are equal. The balanced coordinates are therefore orthonormal in E,
 and truncation preserves symmetry, real poles and passivity.
@@ -23,14 +23,14 @@ from kc2spice.rom.reductors.base import Reductor
 class CongruentBalancing(Reductor):
     """Balanced truncation of ``E x' = A x + B u``, ``y = B'x`` with symmetric E and A.
 
-    In the modes ``X'EX = 1``, ``-X'AX = diag(r)`` both Gramians are ``P_ij = b_i b_j' / (r_i +
-    r_j)`` with the rows ``b_i`` of ``X'B``. The basis is ``V = X U`` with the eigenvectors U of P,
-    whose eigenvalues are the Hankel singular values. The static responses of conservative ports
-    come first.
+    In the coordinates of the modes ``X'EX = 1``, ``-X'AX = diag(r)``, both Gramians are ``P_ij =
+    b_i b_j' / (r_i + r_j)`` with the rows ``b_i`` of ``X'B``. The basis is ``V = X U`` with the
+    eigenvectors U of P. The eigenvalues of P are the Hankel singular values. The static responses
+    of conservative ports come first in the basis.
 
     Examples
     --------
-    Of four relaxations in a row, two states represent the response at the end within 4 %.
+    Two states represent the response at the end of four relaxations in a row within 4 %.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -48,7 +48,7 @@ class CongruentBalancing(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: Task) -> str:
-        """Return why the Gramians are not equal, or do not exist."""
+        """Return the reason why the Gramians are not equal, or do not exist."""
         core = task.core
         if core.degree == 2:
             return "the model is of second order"
@@ -79,6 +79,6 @@ class CongruentBalancing(Reductor):
         others = np.eye(len(rates)) - static @ static.T
         hankel, U = np.linalg.eigh(others @ gramian @ others)
         count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
-        count = min(count, len(rates) - static.shape[1])  # all others are rounding
+        count = min(count, len(rates) - static.shape[1])  # others are rounding errors
         directions = np.hstack([static, U[:, ::-1][:, :count]])
         return task.project(X @ directions, fixed=static.shape[1])

@@ -1,8 +1,9 @@
 """Rational Krylov subspaces of definite models, at zero and at real shifts.
 
-The pencil ``K - w^2 M`` of a shift w^2 serves the pair of expansion points +-j w, so all vectors
-and all factorisations are real. Blocks are added at one point as long as they reduce the change,
-then at the shift at which the last block changed the response most.
+``K - w^2 M`` is the same real matrix for both expansion points +-j w, so all vectors and all
+factorisations are real. Blocks of vectors are added at one shift w^2 as long as each block changes
+the response much less than the block before. The next shift is the frequency at which the last
+block changed the response most.
 """
 
 from __future__ import annotations
@@ -25,16 +26,18 @@ from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 
-# Number of blocks before a new expansion point is considered. The Cholesky factor at zero takes a
-# fraction of the time and memory of the indefinite factor at a shift, so blocks at zero are the
-# cheapest vectors as long as they converge. Chosen by trial.
+# Largest number of blocks at an expansion point. The Cholesky factor at zero takes a fraction of
+# the time and memory of the indefinite factor at a shift. Blocks at zero are therefore cheaper as
+# long as they converge. Found by trials.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
-# Blocks of solids with several modes in the band, for the first estimate of the remaining time.
+# Usual number of blocks for solids with several modes in the band, for the first estimate of the
+# remaining time.
 USUAL_BLOCKS = 14
-# factor by which a further block must reduce the change; otherwise a new point follows
+# Smallest factor by which a block must change the response less than the block before. Otherwise
+# the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
-MIN_POINT_DISTANCE = 1e-3  # least distance of two points, relative to the end of the band
+MIN_POINT_DISTANCE = 1e-3  # smallest distance of two points, relative to the end of the band
 
 
 def definite_krylov_model(
@@ -44,17 +47,17 @@ def definite_krylov_model(
     limit: float,
     body: FreeBody | None = None,
 ) -> IntermediateModel:
-    """Return a definite model within ``target`` over ``band`` [Hz].
+    """Return a reduced definite model with an error within ``target`` over ``band`` [Hz].
 
-    The error is within ``limit`` if rounding prevents ``target``. The error is the change by the
-    last two blocks.
+    If rounding errors prevent the error ``target``, the error is within ``limit``. The error is the
+    change of the response by the last two blocks.
 
-    For a free ``body``, a small negative shift replaces the expansion at zero, with its
-    rigid-body modes deflated.
+    For a free ``body``, rigid-body modes are deflated, and a small negative shift replaces the
+    expansion point zero.
 
     Raises
     ------
-    SimulationError : not even ``limit`` is met.
+    SimulationError : the error exceeds even ``limit``.
     """
     K, _, M = pencil.coefficients
     projection = GrowingProjection(pencil)

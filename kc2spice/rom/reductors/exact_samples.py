@@ -1,8 +1,10 @@
-"""Oblique projection of ill-conditioned dense models on refined solutions. If rounding errors of
-large entries of a matrix exceed the entries of slow motions, neither eigenvectors nor projections
-are accurate. Solutions are accurate if they are refined with residuals in extended precision. The
-states ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies span two bases, and ``A X = s E
-X - B`` projects the model on them without a product with the large matrix.
+"""Oblique projection of ill-conditioned dense models on refined solutions.
+
+If rounding errors of large entries of a matrix exceed the entries of slow motions, neither
+eigenvectors nor projections are accurate. Solutions are accurate if they are refined with residuals
+in extended precision. The solutions ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies
+span two bases. Because ``A X = s E X - B``, the projection of the model on these bases needs no
+product with the large matrix A.
 
 Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022),
 arXiv:2104.01006.
@@ -22,11 +24,11 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO, Response, grid, sample_band
 from kc2spice.rom.rounding import rounding_uncertainty, uncertainty_note
 
-# Numbers of frequencies. Chosen by trial.
-FIRST_SAMPLES = 12  # samples before the error is estimated
+# numbers of frequencies, found by trials
+FIRST_SAMPLES = 12  # number of samples before the error is first estimated
 MAX_SAMPLES = 90  # largest number of samples
-CANDIDATE_FREQUENCIES = 151  # candidate frequencies for the next sample
-# singular values, relative to the largest, below which directions are noise; the best limit is used
+CANDIDATE_FREQUENCIES = 151  # number of candidate frequencies for the next sample
+# Candidates for the relative singular value below which directions are noise. The best one is used.
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
@@ -53,7 +55,7 @@ class ExactSamples:
 
         Raises
         ------
-        SimulationError : that is a pole.
+        SimulationError : the frequency is a pole.
         """
         P, s = self.pencil, 2j * np.pi * frequency
         x, y = self._solver.at(s, P.B, P.C)
@@ -66,9 +68,9 @@ class ExactSamples:
         self._left = np.hstack([self._left, *real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
-        """Make the oblique projection that best reproduces the samples.
+        """Return the oblique projection that best reproduces the samples.
 
-        The second result is the largest error of the projection at the samples.
+        The second result is the largest error of this projection at the samples.
         """
         W, P = self._left, self.pencil
         U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))
@@ -89,14 +91,14 @@ class ExactSamples:
         return best, float(error)
 
     def relative_sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Sizes relative to ``H`` or to the floor of the samples' peak."""
+        """Return sizes relative to ``H``, but at least to a share of the peak of all samples."""
         return relative_size(difference, H, Entries.of(self.H))
 
 
 def sampled_model(
     full: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """Return a model of an ill-conditioned first-order model from exact samples.
+    """Return an accurate reduced model of an ill-conditioned first-order model.
 
     Raises
     ------
@@ -146,7 +148,7 @@ def sampled_model(
 def _remove_growing_poles(small: Pencil) -> Pencil:
     """Remove growing poles, which are rounding errors of a stable model.
 
-    The result is in real blocks of its poles.
+    The matrices of the result consist of real blocks, one for each pole or pair of poles.
     """
     from kc2spice.rom.blocks import decouple_states
 

@@ -1,9 +1,10 @@
-"""A rational Krylov basis that grows by one expansion point after the other.
+"""Rational Krylov basis to which one expansion point after another is added.
 
-Points are chosen alternately by two criteria: the largest sketched residual, and the largest change
-of the response by the last point. Each point is solved on the model first as a check of the
-projection, and only then joins the basis with its derivative with respect to s. Real and imaginary
-parts are separate vectors, so that all matrices stay real.
+Points are chosen alternately by two criteria: the largest residual, which is estimated by random
+combinations of equations (a sketch), and the largest change of the response by the last point. At
+each point, the solution of the full model first tests the projection. Then the solution and its
+derivative with respect to s are added to the basis. Real and imaginary parts are separate vectors,
+so that all matrices remain real.
 """
 
 from __future__ import annotations
@@ -23,18 +24,19 @@ from kc2spice.rom.response import Response, sample_band
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding, split_rigid_body
 from kc2spice.rom.rounding import ENERGY_ROUNDING, zero_entries
 
-# Residual of K x = B, relative to B, above which the model is unsupported at zero frequency.
+# Largest residual of K x = B, relative to B, of a supported model. K of an unsupported model is
+# singular.
 SINGULAR_RESIDUAL = 1e-6
-# Numbers chosen by trial.
-SKETCH_SIZE = 32  # random combinations of equations that represent all residuals
-# frequencies of each grid of candidates, linear and logarithmic
+# numbers found by trials
+SKETCH_SIZE = 32  # number of random combinations of equations that represent all residuals
+# number of frequencies of each grid of candidates: a linear and a logarithmic grid
 CANDIDATE_FREQUENCIES = 101
 
 
 class GreedyBasis:
-    """A growing basis, with the projections that the residual estimate needs.
+    """Basis with the projections that the residual estimate needs.
 
-    The basis begins with the ``static`` responses if there are any.
+    If ``static`` is true, the basis begins with the static responses.
     """
 
     def __init__(self, pencil: Pencil, band: tuple[float, float], static: bool = True) -> None:
@@ -56,9 +58,9 @@ class GreedyBasis:
         self.static = static and self._add_static()
 
     def check(self, s: complex) -> tuple[float, bool]:
-        """Relative error of the present projection at ``s``, which then joins the basis.
+        """Return the relative error of the projection at ``s``, and add the solution to the basis.
 
-        Also returns whether the basis grew.
+        The second result is whether the basis has more vectors than before.
         """
         x, *others = self.solve(s)
         true = self.pencil.C @ x + self.pencil.D
@@ -72,13 +74,10 @@ class GreedyBasis:
         return float(error.max()), self.basis.shape[1] > before
 
     def next_point(self) -> complex:
-        """Choose the candidate with the largest residual as the next point.
+        """Choose the next expansion point.
 
-        Every second time, the point is the frequency at which the last point changed the response
-        most.
-
-        Every second time, the point is the candidate near the largest change of the response by
-        the last point.
+        Alternately, it is the candidate with the largest residual, and the candidate near the
+        largest change of the response by the last point.
         """
         points = self._candidates()
         s = 2j * np.pi * points
@@ -105,8 +104,8 @@ class GreedyBasis:
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
-        """Add the static responses if the model has any; False for a model that is free to
-        move."""
+        """Add the static responses; return False for a free model, which has none.
+"""
         b = self.pencil.B
         try:
             answers = self.solve(0.0)
@@ -134,7 +133,7 @@ class GreedyBasis:
         return tuple(answers)
 
     def extend(self, s: complex, *answers: np.ndarray) -> None:
-        """Add ``answers`` at ``s`` to the basis."""
+        """Add the solutions at ``s`` to the basis."""
         self._used.append(s)
         new = np.column_stack([*chain.from_iterable(map(real_parts, answers))])
         fresh = _independent_directions(self.basis, new)
@@ -154,10 +153,11 @@ class GreedyBasis:
         )
 
     def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
-        """Split the rigid-body motion off the projected model.
+        """Separate the rigid-body motion of the projected model.
 
-        The motion is determined within rounding errors of the entries of the full model. If the
-        model has a static response, no input excites this motion, and it is left out.
+        A motion is a rigid-body motion if its energy is within rounding errors of the full model's
+        entries. If the model has a static response, no input excites this motion, and it is
+        omitted.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
@@ -175,7 +175,7 @@ class GreedyBasis:
 
     @property
     def frequencies(self) -> tuple[float, ...]:
-        """Frequencies [Hz] of the expansion points, in the order of their use."""
+        """Frequencies [Hz] of the expansion points, in the sequence in which they were added."""
         return tuple(float(abs(s) / (2 * np.pi)) for s in self._used)
 
     @property
@@ -183,13 +183,13 @@ class GreedyBasis:
         """Basis of the same subspace whose columns are the modes of the projected model.
 
         Projected matrices of thin bodies are small differences of large numbers. A projection on
-        these columns has fewer such differences, and therefore smaller rounding errors.
+        modes has fewer such differences, and therefore smaller rounding errors.
         """
         return self.basis @ self.turn
 
 
 class _Sketch:
-    """Residual norms of ``P(s) V x(s) = b`` from random combinations of its rows."""
+    """Estimate of residuals of ``P(s) V x(s) = b`` by random combinations of the equations."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
@@ -203,16 +203,16 @@ class _Sketch:
         ]
 
     def residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Largest relative residual of all right-hand sides at each ``s``."""
+        """Return the largest relative residual of all right-hand sides at each ``s``."""
         product = sum(s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images))
         size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny
         return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
 
 
 def _modes(pencil: Pencil) -> np.ndarray:
-    """Undamped modes of a small symmetric pencil of second order.
+    """Return the undamped modes of a small symmetric second-order pencil.
 
-    If the pencil is not symmetric or not of second order, the result is the unit matrix.
+    For other pencils, the result is the unit matrix.
     """
     if pencil.degree == 2 and pencil.symmetric:
         K, _, M = pencil.coefficients
@@ -224,9 +224,9 @@ def _modes(pencil: Pencil) -> np.ndarray:
 
 
 def _independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Compute orthonormal directions of ``new`` outside ``basis``.
+    """Compute orthonormal directions of ``new`` outside of the span of ``basis``.
 
-    Dependent directions are deflated.
+    Dependent directions are omitted.
     """
     result = np.empty((basis.shape[0], 0))
     for column in new.T:

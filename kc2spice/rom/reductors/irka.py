@@ -19,29 +19,31 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
 POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
-MAX_ITERATIONS = 100  # Largest number of iterations. Chosen by trial.
-# Error of the balanced model, relative to the tolerance, above which an order is not tried. Chosen
-# by trial.
+MAX_ITERATIONS = 100  # largest number of iterations, found by trials
+# Largest error of the balanced model, relative to the tolerance, for which an order is tried. Found
+# by trials.
 MAX_START_ERROR = 10.0
 
 
 class Irka(Reductor):
     """Tangential interpolation at mirror images of the reduced model's poles.
 
-    The model of order q with poles ``l_i`` and residues ``c_i b_i'`` has the projection
-    ``V = [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``, iterated from balanced
-    truncation until the poles no longer change. It then meets the first-order conditions of least
-    error in the H2 norm::
+    A model of order q with poles ``l_i`` and residues ``c_i b_i'`` gives the projection ``V =
+    [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The projected model gives the next
+    projection, beginning with balanced truncation. The iteration ends when the poles no longer
+    change. The model H_q then meets the first-order conditions for the smallest error in the H2
+    norm::
 
         H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
         c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
 
-    Each order has a separate basis, so a tolerance takes longer than with nested bases. The norm
-    covers all frequencies.
+    Each order has a separate basis, so a reduction to a tolerance takes longer than with nested
+    bases. The H2 norm includes all frequencies.
 
     Examples
     --------
-    One state for three relaxations interpolates the response at the mirror image of its pole.
+    A model with one state interpolates the response of three relaxations at the mirror image of its
+    pole.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -60,11 +62,11 @@ class Irka(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: Task) -> str:
-        """Return why the model has no Gramians, with which the iteration begins."""
+        """Return the reason why the model has no Gramians, which the iteration needs at first."""
         return explain_no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the models of all orders, each computed when it is needed.
+        """Return the models of all orders, each of which is computed when it is needed.
 
         The result is None if the model is not strictly stable.
         """
@@ -78,7 +80,7 @@ class Irka(Reductor):
 class OptimalModels(ReducedBasis):
     """Models that are locally optimal in the H2 norm.
 
-    ``pencil`` is balanced: its leading parts are the starts of the iteration.
+    ``pencil`` is the balanced model. Its truncation to an order is the start of the iteration.
     """
 
     def leading_model(self, order: int) -> Response:
@@ -88,9 +90,9 @@ class OptimalModels(ReducedBasis):
         return self.responses[order]
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
-        """Whether the model of this order is stable and within the tolerance.
+        """Return whether the model of this order is stable and within the tolerance.
 
-        The iteration is skipped if the error of the balanced model of the same order is large.
+        If the error of the balanced model of this order is large, the iteration is skipped.
         """
         limit = MAX_START_ERROR * tolerance
         if not self.balanced_models.error(order, limit) <= limit:
@@ -99,7 +101,7 @@ class OptimalModels(ReducedBasis):
 
     @cached_property
     def balanced_models(self) -> ReducedBasis:
-        """The balanced models."""
+        """Models of all orders by balanced truncation."""
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
     def unknowns(self, order: int) -> np.ndarray | None:
@@ -107,8 +109,8 @@ class OptimalModels(ReducedBasis):
         return None
 
     def _optimal(self, order: int) -> Pencil:
-        """Iterate the poles of the model of this order, starting with the poles of the balanced
-        model."""
+        """Iterate the poles of the model of this order, beginning with the balanced model.
+"""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.leading_model(order)
@@ -135,23 +137,23 @@ class OptimalModels(ReducedBasis):
 
 
 def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return poles (q,), and left and right directions of residues.
+    """Return the poles (q,) of a model, and the factors of their residues ``c_i b_i'``.
 
-    The directions are (q, outputs) and (q, inputs).
+    The factors c are (q, outputs), and the factors b are (q, inputs).
     """
     poles, X = np.linalg.eig(-pencil.coefficients[0])
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
 
 
 def mirrored_poles(poles: np.ndarray) -> np.ndarray:
-    """Return the mirror images of stable poles, and unstable poles themselves."""
+    """Return the mirror image of each stable pole; unstable poles remain."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 
 def interpolate_response(
     full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray
 ) -> Pencil:
-    """Return the model that interpolates ``full`` at shifts along directions."""
+    """Return the model that interpolates ``full`` at shifts along left and right directions."""
     V = _real_basis(shifts, full.states(shifts) @ right[:, :, None])
     W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
@@ -160,7 +162,7 @@ def interpolate_response(
 
 
 def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Orthonormal basis (n, q) of vectors (q, n, 1) at pairs of conjugate shifts."""
+    """Return a real orthonormal basis (n, q) of vectors (q, n, 1) at conjugate shifts."""
     real, pairs = shifts.imag == 0, shifts.imag > 0
     columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
     return np.asarray(np.linalg.qr(np.concatenate(columns).T)[0])

@@ -1,4 +1,4 @@
-"""Rational Krylov subspaces: solutions and derivatives at several points."""
+"""Rational Krylov subspaces: solutions and their derivatives at several expansion points."""
 
 from __future__ import annotations
 
@@ -18,38 +18,36 @@ from kc2spice.rom.reductors.greedy_basis import GreedyBasis
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding
 
-# Limits of the work at which the method gives up. Chosen by trial.
-MAX_VECTORS = 600  # vectors of a basis
-MAX_POINTS = 180  # factorisations
-# successive points that must meet the target, because a single point may meet it by chance
+# limits of the computing time, beyond which the method fails; found by trials
+MAX_VECTORS = 600  # largest number of vectors of a basis
+MAX_POINTS = 180  # largest number of factorisations
+# number of successive points that must meet the target; a single point may meet it by chance
 CONFIRMATIONS = 2
-MANY_POINTS = 20  # factorisations after which a large model warns of the cause
-LARGE_UNKNOWNS = 10_000  # unknowns of a large model. Chosen by trial.
-USUAL_POINTS = 10  # factorisations, for the first estimate of the remaining time
-BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends. By trial.
+MANY_POINTS = 20  # number of factorisations after which a large model causes a warning
+LARGE_UNKNOWNS = 10_000  # smallest number of unknowns of a large model, found by trials
+USUAL_POINTS = 10  # number of factorisations for the first estimate of the remaining time
+BASIS_SHARE = 0.01  # share of the tolerance at which the basis is complete, found by trials
 
 
 class RationalKrylov(Reductor):
-    """Solutions ``P(s)^-1 B`` and their derivatives at greedily chosen points.
+    """Solutions ``P(s)^-1 B`` and their derivatives at greedily chosen points ``s = j w``.
 
-    The points are ``s = j w``.
-
-    The projection interpolates the response and its slope at each point. An unsymmetric model adds
-    solutions of the dual model. Vectors are in the order of their points: first the static
-    response, then the end of the band, then points of the largest residual.
+    The projection interpolates the response and its slope at each point. For an unsymmetric model,
+    solutions of the dual model are added. Vectors have the sequence of their points: first zero
+    frequency, then the end of the band, then points of the largest residual.
 
     Parameters
     ----------
     points : sequence of floats, optional
-        Expansion points in Hz that replace the choice, in the order of their vectors.
+        Expansion points in Hz that replace the greedy choice. The vectors have the same sequence.
 
     Raises
     ------
-    UsageError : no points, or points that are not finite frequencies of at least zero.
+    UsageError : there are no points, or a point is negative or not finite.
 
     Examples
     --------
-    The response at the end of the band, an expansion point, is exact.
+    The response at the end of the band is exact, because it is an expansion point.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -70,7 +68,7 @@ class RationalKrylov(Reductor):
         self.points = None if points is None else _frequencies(points)
 
     def basis(self, task: Task) -> ReducedBasis:
-        """Return the projection on vectors in the order of their points."""
+        """Return the projection on vectors in the sequence of their points."""
         if self.points is not None:
             search = GreedyBasis(task.core, task.band, static=False)
             for s in 2j * np.pi * self.points:
@@ -91,7 +89,7 @@ class RationalKrylov(Reductor):
 
 
 def _frequencies(points: Sequence[float]) -> np.ndarray:
-    """The points as an array of frequencies [Hz]."""
+    """Return the points as an array of frequencies [Hz]."""
     try:
         result = np.array(points, dtype=float).ravel()
     except (TypeError, ValueError):
@@ -109,16 +107,15 @@ def _frequencies(points: Sequence[float]) -> np.ndarray:
 def rational_krylov_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, most: int
 ) -> IntermediateModel:
-    """Return a model within ``target`` over ``band`` [Hz].
+    """Return a reduced model with an error within ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent the error ``target``, the error is within ``limit``. The reduction
-    uses a limited number of factorisations.
-
-    The error is the error of the projection at the last points, before they joined the basis.
+    If rounding errors prevent the error ``target``, the error is within ``limit``. The error is
+    computed at the last points, before their solutions were added to the basis. The number of
+    factorisations is limited.
 
     Raises
     ------
-    SimulationError : not even ``limit`` is met.
+    SimulationError : the error exceeds even ``limit``.
     """
     search = GreedyBasis(pencil, band)
     met, error, recent, idle = 0, np.inf, [np.inf], 0
@@ -138,8 +135,8 @@ def rational_krylov_model(
                 f"contains at least {modes} resonances; {text}",
                 stacklevel=2,
             )
-        # An error from before the basis grew no longer applies to the projection. A point next to
-        # an earlier one neither extends the basis nor tests the other parts of the band.
+        # An error that was computed before the basis was extended no longer applies. A point next
+        # to an earlier point neither extends the basis nor tests other parts of the band.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (met, idle):

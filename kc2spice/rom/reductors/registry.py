@@ -1,6 +1,6 @@
-"""Methods of reduction by name, and the choice of methods for a model.
+"""Registry of methods of reduction by name, and the choice of methods for a model.
 
-Other packages declare their methods as entry points of the group :data:`ENTRY_POINT_GROUP`.
+Other packages declare methods of reduction as entry points of the group :data:`ENTRY_POINT_GROUP`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUIL
 
 
 def register_reductor(reductor: Reductor) -> Reductor:
-    """Register a method of reduction, for ``method=`` of :func:`kc2spice.reduce`.
+    """Register a method of reduction for the argument ``method`` of :func:`kc2spice.reduce`.
 
-    A second method of the same name replaces the first one. Without ``method=`` only built-in
-    methods are tried: response POD and the variants of balanced truncation.
+    A method replaces an earlier method of the same name. Without ``method``, only built-in methods
+    are tried: response POD and the variants of balanced truncation.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
 
 def _require_reductor(value: object, where: str) -> Reductor:
-    """Return a reductor; raise an error if the value is none or has no name."""
+    """Return the value if it is a reductor with a name; otherwise raise an error."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
         return value
     expected, got = "an instance of a subclass of kc.Reductor with a name", repr(value)
@@ -96,7 +96,7 @@ def _require_reductor(value: object, where: str) -> Reductor:
 
 @cache
 def _load_installed_reductors() -> None:
-    """Register the methods of other distributions; methods of the same name have precedence."""
+    """Register the methods of installed packages, except names that are already registered."""
     for name in plugin_names(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
         reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
@@ -112,8 +112,8 @@ def reductor_names() -> list[str]:
 def require_method_name(name: str, where: str, advice: str) -> None:
     """Raise an error if no reduction method has this name.
 
-    ``where`` is the argument or option with the name, ``advice`` the next action if no registered
-    name is similar.
+    ``where`` is the argument or option that contains the name. ``advice`` is the next action for
+    the user if no registered name is similar.
     """
     if name not in _reductors and name not in reductor_names():
         problem = "this reduction method does not exist"
@@ -121,7 +121,7 @@ def require_method_name(name: str, where: str, advice: str) -> None:
 
 
 def reductor_named(method: str | Reductor) -> Reductor:
-    """Return a method by its name, or the method itself.
+    """Return the method with a name; if ``method`` is a method already, return it.
 
     Raises
     ------
@@ -138,8 +138,8 @@ def reductor_named(method: str | Reductor) -> Reductor:
 def suited_reductors(task: Task) -> list[Reductor]:
     """Return the default methods: response POD and balanced truncation.
 
-    Congruences come first. Balancing over the band represents notches, which matter in the
-    pointwise norm only.
+    Congruences come first. Balancing over the band also represents notches, which are important
+    only in the norm *pointwise*.
     """
     congruences: list[Reductor] = [POD, CONGRUENT if task.collocated else TWO_SIDED_POD]
     if task.norm == "pointwise":

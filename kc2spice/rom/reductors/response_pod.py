@@ -13,28 +13,28 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.snapshots import snapshots, tail_weight, weighted_states
 from kc2spice.rom.response import Response
 
-# condition of the stiffness above which a mode has no elastic energy within rounding
+# condition number of the stiffness above which the energy of a mode is a rounding error
 MAX_STIFFNESS_CONDITION = 1e12
-# singular values of snapshots below this, relative to the largest, are rounding
+# largest relative singular value of snapshots that is a rounding error
 SINGULAR_VALUE_LIMIT = 1e-13
-# Limits and factors of the fit of weights. Chosen by trial.
+# limits and factors of the fit of weights, found by trials
 MAX_SHORTENED_ORDER = 150  # largest order for which other weights are tried
-MAX_TRIALS = 12  # updates of the weights
-MIN_EXTRA_VECTORS = 20  # vectors beyond the order from which a better basis is made
-EXTRA_ERROR_SHARE = 0.5  # share of the tolerance that the model of all these vectors must meet
-# squared factor of a weight where the error is zero, so that no weight vanishes at once
+MAX_TRIALS = 12  # largest number of updates of the weights
+MIN_EXTRA_VECTORS = 20  # number of vectors beyond the order from which a better basis is computed
+EXTRA_ERROR_SHARE = 0.5  # largest error with these additional vectors, relative to the tolerance
+# smallest squared factor of a weight in one update, where the error is zero
 MIN_WEIGHT = 0.05
-# factor of the weight above the band in each trial, because no certificate covers it
+# factor of the weight above the band in each trial; the certificate does not include this range
 TAIL_FADING = 0.5
 
 
 class ResponsePod(Reductor):
-    """Principal directions of the response over the band.
+    """Proper orthogonal decomposition of the response over the band.
 
     The first vectors are the static responses of the ports, so static gains are exact. The other
-    vectors are left singular vectors of snapshots of the response, in coordinates in which the
-    elastic energy is a sum of squares, with weights for a relative error. ``two_sided`` adds
-    snapshots of the dual model, which unsymmetric models need.
+    vectors are left singular vectors of snapshots of the response. The snapshots have weights for a
+    relative error, and coordinates in which the elastic energy is a sum of squares. If
+    ``two_sided`` is true, snapshots of the dual model are added, which unsymmetric models need.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class ResponsePod(Reductor):
         self.name = "response POD" + (" of both sides" if two_sided else "")
 
     def basis(self, task: Task) -> ReducedBasis:
-        """Return the static responses and the principal directions of all others."""
+        """Return the static responses and the principal directions of all snapshots."""
         core, free = task.core, task.core.free
         energy = _energy_basis(
             core.without_free_motion, 2 * np.pi * task.band[1], task.intermediate.static
@@ -80,8 +80,9 @@ class ResponsePod(Reductor):
     ) -> tuple[ReducedBasis, int]:
         """Return a basis that meets the tolerance with fewer vectors.
 
-        Snapshots receive larger weights at frequencies at which the error with one state fewer is
-        largest (Lawson's minimax fit). The weights above the band are reduced step by step.
+        At frequencies at which the model with one state fewer has the largest error, the weights of
+        snapshots are increased (Lawson's minimax fit). The weights above the band are decreased in
+        each trial.
         """
         size, least = (
             min(basis.size, max(3 * order, order + MIN_EXTRA_VECTORS)),
@@ -121,20 +122,19 @@ class ResponsePod(Reductor):
 
 
 def _has_loaded_port(task: Task) -> bool:
-    """Whether a port has loads such as forces or heat.
+    """Return whether the input of a port is a load, such as a force or a heat flow.
 
-    The static response of the port then remains exact.
+    The static response of such a port remains exact.
     """
     return any(port.loaded for port in task.fom.ports)
 
 
 def _static_responses(task: Task, response: Response) -> np.ndarray:
-    """Compute orthonormal vectors (n, k) of the static responses.
+    """Compute orthonormal vectors (n, k) that span the static responses.
 
-    Unknowns of rigid-body modes are left out.
-
-    The loads include those of rigid-body modes that damping couples to other motions. Signals need
-    static responses only in a band from zero.
+    The unknowns of rigid-body modes are omitted. If damping couples rigid-body modes to other
+    motions, the damping forces of the modes are also loads. For signals, static responses are
+    needed only if the band begins at zero.
     """
     pencil, free = response.pencil, task.core.free
     if free:
@@ -160,9 +160,9 @@ def _weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Multiply states by a factor of each frequency, and split their parts.
+    """Multiply the states at each frequency by a factor, and separate real and imaginary parts.
 
-    The real and imaginary parts are (n, 2 frequencies inputs).
+    The result is (n, 2 frequencies inputs).
     """
     inputs = states.shape[1] // (2 * len(factors))
     return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
@@ -171,11 +171,9 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If the stiffness is not definite, the energy at ``omega`` is used. If neither matrix is
-    definite, the result is the unit matrix.
-
-    A model that is not ``static`` has no elastic energy at rest, although rounding of K may give it
-    a Cholesky factor.
+    If the stiffness is not definite, the energy at ``omega`` is used instead. If its matrix is not
+    definite either, the result is the unit matrix. Unless the model is ``static``, its stiffness is
+    singular, even if K has a Cholesky factor by rounding errors.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     dynamic = rest + omega**pencil.degree * inertia
@@ -193,10 +191,7 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
 
 
 def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return ``first`` and the principal directions of the other columns.
-
-    All vectors are orthonormal.
-    """
+    """Return the vectors ``first`` and the principal directions of ``columns``, orthonormal."""
     for _ in range(2):  # a single projection would leave rounding errors
         columns = columns - first @ (first.T @ columns)
     return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])
@@ -211,7 +206,7 @@ def _significant_range(columns: np.ndarray) -> np.ndarray:
 
 
 def _principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left singular vectors and values."""
+    """Compute the left singular vectors and the singular values of ``columns``."""
     # the triangular factor has the same singular values and fewer rows
     if columns.shape[1] > 2 * columns.shape[0]:
         columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T

@@ -1,8 +1,8 @@
 """Snapshots of a frequency response: frequencies and weights.
 
-A body in contact with other bodies is also excited above the band. A basis fitted to the band alone
-has large errors above the band, so mechanical ports add snapshots at higher frequencies with a
-small weight: the *tail*.
+A contact also excites a body above the band. A basis that is fitted only to the band has large
+errors above the band. Therefore, if a model has mechanical ports, there are additional snapshots at
+higher frequencies with a small weight (the *tail*).
 """
 
 from __future__ import annotations
@@ -15,27 +15,29 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, grid, sample_resonances
 
-# Points of each grid, linear and logarithmic. Every resonance adds snapshots, so the grid covers
-# the response between resonances.
+# Number of points of each grid, a linear and a logarithmic one. There are additional snapshots at
+# every resonance, so the grid represents the response between resonances.
 GRID_POINTS = 101
-# Snapshots above the band; chosen by trial.
-TAIL_REACH = 8.0  # end of the frequencies above the band, relative to the end of the band
+# settings of the snapshots above the band, found by trials
+TAIL_REACH = 8.0  # highest frequency of the snapshots, relative to the end of the band
 TAIL_POINTS = 150
-TAIL_DECAY = 4  # exponent with which the weight decreases above the band: contact forces are smooth
-# Smallest and largest weight at the end of the band. Chosen by trial: launches of the paper's chip
-# by reduced models of 20 to 31 states had errors of at most 3e-4, and larger errors with weights
-# up to 1e-2.
+# Exponent with which the weight decreases above the band. The spectrum of contact forces decreases,
+# because they are smooth functions of time.
+TAIL_DECAY = 4
+# Smallest and largest weight at the end of the band. With these weights, launches of the paper's
+# chip by reduced models of 20 to 31 states had errors of at most 3e-4. With weights of only up to
+# 1e-2, the errors were larger.
 TAIL_WEIGHTS = 4e-3, 5e-2
-# weight relative to the root of the tolerance, because squares of errors are minimised
+# weight relative to the square root of the tolerance, because squared errors are minimised
 TAIL_PER_ROOT = 120.0
-# Smallest reference of an entry, relative to its peak: the floor of the pointwise norm.
+# smallest reference of the error of an entry, relative to the entry's peak, keyed by norm
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
 class Snapshots(NamedTuple):
-    """Frequencies [Hz] in the band, frequencies above it, and their weights.
+    """Frequencies [Hz] of snapshots in the band and above the band.
 
-    The weights apply to frequencies above the band.
+    ``above_weight`` are the weights of the frequencies above the band.
     """
 
     inside: np.ndarray
@@ -44,13 +46,14 @@ class Snapshots(NamedTuple):
 
     @property
     def s(self) -> np.ndarray:
-        """Laplace variable of all snapshots [1/s]."""
+        """Laplace variables of all snapshots [1/s]."""
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
         """Return the weights of all snapshots.
 
-        ``inside`` are the weights in the band; weights above the band are multiplied by ``above``.
+        ``inside`` are the weights in the band. The weights above the band are multiplied by
+        ``above``.
         """
         weight = np.broadcast_to(inside, self.inside.shape)
         return np.asarray(np.r_[weight, above * self.above_weight])
@@ -66,7 +69,10 @@ def tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
 def snapshots(
     estimator: ErrorEstimator, response: Response, tail: float | None = None
 ) -> Snapshots:
-    """Return frequencies of the band, of its resonances, and of a ``tail`` above it."""
+    """Return frequencies over the band, at its resonances, and above the band.
+
+    ``tail`` is the weight at the end of the band; None omits frequencies above the band.
+    """
     low, high = estimator.band
     at, ratio = response.within(estimator.band)
     frequency = grid((low, high), GRID_POINTS, estimator.static)
@@ -81,14 +87,12 @@ def snapshots(
 def weighted_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return weighted real and imaginary parts of the states.
-
-    With these weights, least squares minimise the relative error.
+    """Return the real and imaginary parts of the states with weights for a relative error.
 
     If ports exchange energy, the square of a state is an energy, and each state is divided by the
-    square root of the response of its port. Other states are divided by their length. The response
-    of the ``complete`` model includes rigid-body modes. In the peak norm, states are divided by
-    peaks.
+    square root of the response of its port. Otherwise, each state is divided by its length. The
+    response of the ``complete`` model includes rigid-body modes. In the norm *peak*, states are
+    divided by peaks.
     """
     x = response.states(s)
     pencil = response.pencil
@@ -104,9 +108,9 @@ def weighted_states(
 
 
 def _lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
-    """Lengths (frequencies, inputs) of states x in the units of a response.
+    """Return lengths (frequencies, inputs) of the states x, in the unit of a response.
 
-    The response H of the states is a part of ``complete``.
+    H is the response of the states, without the rigid-body modes that ``complete`` includes.
     """
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":

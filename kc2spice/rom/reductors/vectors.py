@@ -1,4 +1,4 @@
-"""Checks and scale of the vectors that a method of reduction returns."""
+"""Checks and scaling of the vectors that a method of reduction returns."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 
 # A unit vector is dependent if its distance to the span of earlier vectors is less than 450 eps.
-# Rounding in a QR factorisation of a few hundred vectors is about 1e-14.
+# Rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
-# Rounding changes V'KV in its weakest direction by about eps times the square of the condition
-# number of V. Up to this condition number, the relative change is below 3e-10.
+# Largest condition number of V. Rounding errors change the softest direction of V'KV by about eps
+# times the square of this number, which is a relative change below 3e-10.
 MAX_CONDITION = 1e3
 
 
@@ -30,7 +30,8 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 
     Raises
     ------
-    UsageError : not a matrix of this shape, not real, not finite, or of dependent columns.
+    UsageError : the value is not a matrix of this shape, contains numbers that are not real or not
+        finite, or has dependent columns.
     """
     V, (rows, columns) = _matrix(value, where, shape[0]), shape
     if len(V) != rows or columns not in (None, V.shape[1]):
@@ -71,8 +72,9 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 def unit_scale(V: np.ndarray) -> np.ndarray:
     """Return the vectors with norms between 0.7 and 1.5.
 
-    Factors are powers of two, so nothing is rounded and orthonormal vectors do not change. The
-    scale of a vector changes no response, but a mass of 1e-22 beside others of 1 counts as zero.
+    The factors are powers of two, so there are no rounding errors and orthonormal vectors do not
+    change. The scale of a vector changes no response. However, without scaling, a mass of 1e-22
+    beside masses of 1 would count as zero.
 
     >>> unit_scale(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
     array([[0.6 , 0.52],
@@ -84,11 +86,11 @@ def unit_scale(V: np.ndarray) -> np.ndarray:
 
 
 def improve_condition(V: np.ndarray) -> np.ndarray:
-    """Return vectors of the same spans that are far from linearly dependent.
+    """Return vectors that span the same spaces, but are far from linearly dependent.
 
-    A static response differs from a sum of many modes by a small remainder. If the condition number
-    of V exceeds a thousand, the result is Q of ``V = Q R``. For each q, the first q columns of Q
-    and of V span the same space. Other vectors do not change.
+    Vectors may be almost dependent: for example, a static response is nearly a sum of many modes.
+    If the condition number of V exceeds a thousand, the result is Q of ``V = Q R``. For each q, the
+    first q columns of Q and of V span the same space. Otherwise V is returned unchanged.
 
     >>> abs(improve_condition(np.array([[1.0, 1.0], [0.0, 1e-6]]))).round(9)
     array([[1., 0.],
@@ -101,7 +103,7 @@ def improve_condition(V: np.ndarray) -> np.ndarray:
 
 
 def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
-    """The vectors as an array of two dimensions of real numbers."""
+    """Return the vectors as a two-dimensional array of real numbers."""
     expected = f"a real array of {rows} rows, one for each coordinate of task.model"
     try:
         V = np.asarray(value)
@@ -124,7 +126,7 @@ def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
 
 
 def _find_dependent_column(V: np.ndarray) -> int | None:
-    """Find the first column that depends on the columns before it, or None."""
+    """Return the index of the first column that depends on earlier columns, or None."""
     norms = np.linalg.norm(V, axis=0)
     distance = np.zeros(V.shape[1])
     diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))
@@ -134,5 +136,5 @@ def _find_dependent_column(V: np.ndarray) -> int | None:
 
 
 def _describe_size(V: np.ndarray) -> str:
-    """Rows and columns in words."""
+    """Describe the numbers of rows and columns in words."""
     return f"{V.shape[0]} rows and {V.shape[1]} columns"
