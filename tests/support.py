@@ -180,28 +180,34 @@ NAMES_BY_MODULE = {
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
     "kc2spice.rom": "pencil stability",
-    "kc2spice.rom.band": "elastic_modes find_band_end natural_band",
-    "kc2spice.rom.blocks": "block_model decouple_states",
+    "kc2spice.rom.band": "compute_elastic_modes find_band_end choose_natural_band",
+    "kc2spice.rom.blocks": "make_block_model decouple_states",
     "kc2spice.rom.branch_fit": "fit_one_port",
     "kc2spice.rom.certification": "certify",
-    "kc2spice.rom.complex_constants": "ComplexConstants complex_constants_model",
-    "kc2spice.rom.constraints": "deflate_infinite_poles null_basis reduced_form",
-    "kc2spice.rom.enriched": "Orders last_change response time_errors",
+    "kc2spice.rom.complex_constants": "ComplexConstants make_complex_constants_model",
+    "kc2spice.rom.constraints": (
+        "deflate_infinite_poles compute_null_basis eliminate_algebraic_unknowns"
+    ),
+    "kc2spice.rom.enriched": "ReductionsByOrder find_last_change response compute_time_errors",
     "kc2spice.rom.error_estimate": "relative_error",
     "kc2spice.rom.first_step": "intermediate_model",
     "kc2spice.rom.free_body": "find_free_body",
-    "kc2spice.rom.heat_network": "FosterNetwork HeatLadder heat_ladder",
+    "kc2spice.rom.heat_network": "FosterNetwork HeatLadder find_heat_ladder",
     "kc2spice.rom.instability": "explain_instability",
     "kc2spice.rom.io": "read_rom write_rom",
     "kc2spice.rom.linear_model": "Certificate LinearModel Port with_potentials",
-    "kc2spice.rom.lossy_modes": "assemble_oscillators relaxing_oscillator viscous_oscillator",
+    "kc2spice.rom.lossy_modes": (
+        "assemble_oscillators fit_relaxing_oscillator make_viscous_oscillator"
+    ),
     "kc2spice.rom.modal": (
-        "Resonators chip_response fit_foster_network make_highest_modes_massless mode_table "
+        "Resonators simulate_chip fit_foster_network make_highest_modes_massless tabulate_modes "
         "resonators"
     ),
     "kc2spice.rom.multiport": "fit_multiport",
     "kc2spice.rom.network": "CircuitBranch ParallelBranches parallel_branches",
-    "kc2spice.rom.parametric": "ParameterAxis modal_transfer polynomials reduce_over_parameters",
+    "kc2spice.rom.parametric": (
+        "ParameterAxis compute_modal_transfer polynomials reduce_over_parameters"
+    ),
     "kc2spice.rom.pencil": "Pencil eliminate_massless",
     "kc2spice.rom.ranges": "RangeTask",
     "kc2spice.rom.reduce": "reduce_model",
@@ -214,11 +220,13 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.response": "Response",
     "kc2spice.rom.soft_support": "support_softly",
     "kc2spice.rom.stability": "prove_stability",
-    "kc2spice.rom.structural_damping": "add_structural_damping constant_loss relaxing_stiffness",
+    "kc2spice.rom.structural_damping": (
+        "add_structural_damping causal_loss_factor fit_relaxing_stiffness"
+    ),
     "kc2spice.rom.surrogate": "make_surrogate",
     "kc2spice.rom.transient_fit": "StepSamples fit_transient",
-    "kc2spice.rom.varying": "Varying reduce_over_ranges",
-    "kc2spice.rom.varying_io": "read_varying",
+    "kc2spice.rom.resonators_over_ranges": "ResonatorsOverRanges reduce_over_ranges",
+    "kc2spice.rom.parametric_model_files": "read_parametric_model",
     "kc2spice.scene": "noise_analysis parttype resolve",
     "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",

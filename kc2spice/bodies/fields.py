@@ -30,7 +30,7 @@ from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.pencil import congruence
-from kc2spice.rom.reductors.block_krylov import block_arnoldi
+from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40
 # frequency of a rigid-body mode, relative to the highest frequency (rounding error)
@@ -131,7 +131,7 @@ def _make_basis(device: FiniteElementModel) -> np.ndarray:
     """Make a Krylov basis (n, q) that contains the lowest modes that the ports excite."""
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
-    return block_arnoldi(
+    return compute_block_krylov_basis(
         lambda v: model.K @ v + shift * (model.M @ v),
         solve,
         lambda v: model.M @ v,

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 from kc2spice.bodies.fields import write_nodal_values
 from kc2spice.bodies.heat_model import HeatModel
 from kc2spice.core.errors import wrong
-from kc2spice.rom.reductors.block_krylov import block_arnoldi
+from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40  # vectors of the Krylov basis
 SEARCH_INSTANTS = 200  # instants at which the highest temperature is searched
@@ -93,7 +93,7 @@ def recover_temperatures(
     K, E = model.pencil.coefficients
     shift = SLOW_RATE_RATIO / float(t[-1] - t[0])
     shifted = sparse.csc_array(K + shift * E)
-    V = block_arnoldi(
+    V = compute_block_krylov_basis(
         lambda v: shifted @ v, splu(shifted).solve, lambda v: E @ v, model.B, BASIS_SIZE
     )
     small_E, small_K = (0.5 * (A + A.T) for A in (V.T @ (E @ V), V.T @ (K @ V)))

@@ -18,15 +18,15 @@ import scipy
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.rom.band import parse_band
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.reduce import Target, choose_band, require_valid
+from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 from kc2spice.rom.stability import is_semidefinite
-from kc2spice.rom.varying import reduce_over_ranges
 
 PARAMETRIC_MATRICES = "MKE"  # matrices that may depend on parameters; E only in heat models
 Factor = Callable[[Values], float]
@@ -314,7 +314,7 @@ def reduce_affine(
     try:
         for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
-        limits = choose_band(model, reduced_form(model.pencil), parse_band(band))
+        limits = choose_band(model, eliminate_algebraic_unknowns(model.pencil), parse_band(band))
         task = RangeTask(
             lambda values: fit(affine.at(values)),
             affine.axes,

@@ -9,9 +9,9 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.quantities import quantity
 from kc2spice.linalg.factor import require_memory_for_factors
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
-from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 BAND_MODES = 5
@@ -24,7 +24,7 @@ RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
 EIGENVALUE_TOLERANCE = 1e-9  # relative error of the eigenvalues of the inverse of ``K + shift M``
 
 
-def natural_band(pencil: Pencil) -> tuple[float, float]:
+def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
     The band ends a little above this frequency of the full model: an undamped natural frequency of
@@ -38,7 +38,7 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     """
     try:
         if pencil.degree == 2 and pencil.symmetric:
-            rates = elastic_modes(pencil, BAND_MODES)
+            rates = compute_elastic_modes(pencil, BAND_MODES)
         else:
             rates = (
                 _compute_all_rates(pencil)
@@ -66,7 +66,7 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     return 0.0, float(BAND_MARGIN * rates[-1] / (2 * np.pi))
 
 
-def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
+def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
     The model is symmetric and of second order. Rigid-body modes do not count. If the model has
@@ -116,7 +116,7 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
         * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
     )
     if not isinstance(K, Schur):
-        noise = np.minimum(noise, ENERGY_FACTOR * np.diag(energy_rounding(K, X)))
+        noise = np.minimum(noise, ENERGY_FACTOR * np.diag(estimate_energy_rounding(K, X)))
     return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
 
 
@@ -125,11 +125,11 @@ def find_band_end(pencil: Pencil, count: int, high: float) -> float:
 
     The result is ``high`` if the model has fewer modes, or if the modes cannot be computed.
     """
-    pencil = reduced_form(pencil)
+    pencil = eliminate_algebraic_unknowns(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
         return high
     try:
-        rates = elastic_modes(pencil, count)
+        rates = compute_elastic_modes(pencil, count)
     except (SimulationError, UsageError, ArpackError, LinAlgError):
         return high
     if rates.size < count:

@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, eigh, lapack, schur
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.pencil import explicit_pencil, largest_entry
+from kc2spice.rom.pencil import largest_entry, make_explicit_pencil
 
 # Largest condition number of a decoupling transformation, which loses three digits. Larger numbers
 # are tried, and the loss of accuracy is measured.
@@ -52,7 +52,7 @@ class BlockModel(EqualByContent):
     loops: tuple[np.ndarray, ...] | None = None
 
 
-def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
+def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     """Transform a reduced model to decoupled blocks, or to one block if ``dense`` is true.
 
     Raises
@@ -75,8 +75,8 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
         blocks, X, inverse = decouple_states(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
-            exact = exact if exact.size else explicit_pencil(A, B, C, D).transfer(s)
-            block_diagonal = explicit_pencil(
+            exact = exact if exact.size else make_explicit_pencil(A, B, C, D).transfer(s)
+            block_diagonal = make_explicit_pencil(
                 block_diag(*result.blocks), result.B, result.C, result.D
             )
             if relative_error(block_diagonal.transfer(s), exact) > limit:

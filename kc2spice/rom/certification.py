@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import errors_above_band
+from kc2spice.rom.error_estimate import estimate_errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, make_linear_model
 from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO
@@ -49,7 +49,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
         _describe_evidence(basis, proof),
         proof.stable,
         proof.passive,
-        errors_above_band(task.fom.ports, estimator.exact, response, task.band),
+        estimate_errors_above_band(task.fom.ports, estimator.exact, response, task.band),
         task.norm,
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
@@ -59,7 +59,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     return result
 
 
-def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
+def certify_with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
     """Return a reduced-order model whose certificate also covers the full-order model."""
     certificate = rom.certificate
     assert certificate is not None

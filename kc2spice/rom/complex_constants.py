@@ -33,8 +33,8 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, fit_foster_network, permittivity
 from kc2spice.rom.structural_damping import (
     add_structural_damping,
-    constant_loss,
-    relaxing_stiffness,
+    causal_loss_factor,
+    fit_relaxing_stiffness,
 )
 
 # largest relative error of the response at resonances by the fit of relaxations
@@ -87,7 +87,7 @@ class ComplexConstants:
             Frequencies [Hz].
         """
         s = 2j * np.pi * np.asarray(frequency)
-        chi = constant_loss(frequency, self.loss_factor, self.at)
+        chi = causal_loss_factor(frequency, self.loss_factor, self.at)
         psi = permittivity(frequency, self.tangent)
         free = np.where(electrical, gain, 0.0)
         elastic = omega > 0
@@ -107,7 +107,7 @@ def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
 
-def complex_constants_model(model: Resonators, losses: ComplexConstants) -> LinearModel:
+def make_complex_constants_model(model: Resonators, losses: ComplexConstants) -> LinearModel:
     """Return the passive model of a body's modes with the losses of complex constants.
 
     Parameters
@@ -151,7 +151,7 @@ def complex_constants_model(model: Resonators, losses: ComplexConstants) -> Line
         lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 
-    chi = relaxing_stiffness(
+    chi = fit_relaxing_stiffness(
         losses.loss_factor,
         losses.at,
         known.band_hz,

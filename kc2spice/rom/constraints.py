@@ -65,7 +65,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
     G, L = _submatrix(rest, row, keep), _submatrix(rest, keep, row)
     if pencil.B[row].any() or G.shape[0] * G.shape[1] > MAX_CONSTRAINT_ENTRIES:
         return pencil
-    Z, rank = null_basis(G)
+    Z, rank = compute_null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
         return pencil  # multipliers act on unknowns that their equations do not constrain
     observed = pencil.C[:, row].any()
@@ -90,14 +90,14 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     return np.asarray(result)
 
 
-def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
+def compute_null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     """Compute a sparse basis Z (n, n - rank) with ``G Z = 0``, and the rank of G.
 
     Most rows of Z are rows of the identity; the other rows express the remaining unknowns by them.
 
     Examples
     --------
-    >>> Z, rank = null_basis(np.array([[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]]))
+    >>> Z, rank = compute_null_basis(np.array([[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]]))
     >>> rank, Z.toarray().round(12).tolist()
     (1, [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     """
@@ -294,7 +294,7 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
     return 0.5 * (P + P.T) if symmetric else P
 
 
-def reduced_form(pencil: Pencil) -> Pencil:
+def eliminate_algebraic_unknowns(pencil: Pencil) -> Pencil:
     """Eliminate the algebraic unknowns of a model, as the first step of a reduction.
 
     The result is an equivalent model without constraints, infinite poles, and unknowns that have

@@ -6,7 +6,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
-from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 
@@ -52,5 +52,5 @@ def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     # The rounding errors of the factor may exceed those of the entries. Only the entries of K
     # define a soft support, so the energy is computed from the entries.
     y = y / np.linalg.norm(y)
-    energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
+    energy, noise = float(np.sum(y * (K @ y))), float(estimate_energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

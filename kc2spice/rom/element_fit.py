@@ -188,7 +188,8 @@ class Samples:
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
             np.hypot(
-                INSTRUMENT_DEVIATION, ROUNDING_FACTOR * frequency_rounding(self.f) * by_frequency
+                INSTRUMENT_DEVIATION,
+                ROUNDING_FACTOR * estimate_frequency_rounding(self.f) * by_frequency,
             )
         )
 
@@ -221,8 +222,7 @@ class Samples:
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
-        """Compute the derivatives (n,) of log(Y) with respect to each parameter of each element.
-"""
+        """Compute the derivatives (n,) of log(Y) with respect to each parameter of each element."""
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
@@ -274,7 +274,7 @@ class Samples:
         leads = tuple(e for e in elements if not e.in_parallel)
         elements = tuple(e for e in elements if e.in_parallel)
         share = 1 - self._sum_elements(leads)[1] * self.Y
-        dc_share = 1 - lead_resistance(leads) * (self.conductance or 0.0)
+        dc_share = 1 - sum_lead_resistance(leads) * (self.conductance or 0.0)
         columns = [share**2 / self.Y * e.response(self.s)[0] for e in elements]
         rows = [
             self._stack_rows(x, dc_share**2 * e.conductance)
@@ -336,7 +336,7 @@ class Samples:
         return unpack(result.x) if np.isfinite(result.x).all() else elements
 
 
-def frequency_rounding(f: np.ndarray) -> float:
+def estimate_frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
 
     The estimate is the rms difference to equal linear or logarithmic steps. If rounding of the last
@@ -344,9 +344,9 @@ def frequency_rounding(f: np.ndarray) -> float:
 
     Examples
     --------
-    >>> round(frequency_rounding(np.round(np.linspace(1e3, 2e3, 60))), 2)
+    >>> round(estimate_frequency_rounding(np.round(np.linspace(1e3, 2e3, 60))), 2)
     0.28
-    >>> frequency_rounding(np.linspace(1e3, 2e3, 51)) < 1e-9
+    >>> estimate_frequency_rounding(np.linspace(1e3, 2e3, 51)) < 1e-9
     True
     """
     units = 10.0 ** np.arange(np.floor(np.log10(f[0])), -4, -1)
@@ -359,7 +359,7 @@ def frequency_rounding(f: np.ndarray) -> float:
     return 0.0
 
 
-def lead_resistance(elements: Elements) -> float:
+def sum_lead_resistance(elements: Elements) -> float:
     """Return the resistance [Ohm] of the leads among ``elements``."""
     return sum(e.amplitude for e in elements if e.form == "lead resistance")
 
@@ -367,12 +367,12 @@ def lead_resistance(elements: Elements) -> float:
 def conductance(elements: Elements) -> float:
     """Return the conductance [S] of ``elements`` at zero frequency."""
     parallel = sum(e.conductance for e in elements)
-    return parallel / (1 + lead_resistance(elements) * parallel)
+    return parallel / (1 + sum_lead_resistance(elements) * parallel)
 
 
 def _conductance_slope(elements: Elements, element: FitElement) -> float:
     """Return the derivative of the conductance with respect to the logarithm of an amplitude."""
     if element.form == "lead resistance":
-        return -(conductance(elements) ** 2) * lead_resistance((element,))
+        return -(conductance(elements) ** 2) * sum_lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)
-    return element.conductance / (1 + lead_resistance(elements) * parallel) ** 2
+    return element.conductance / (1 + sum_lead_resistance(elements) * parallel) ** 2

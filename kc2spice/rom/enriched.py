@@ -17,14 +17,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, eig
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
-from kc2spice.rom.modal import Resonators, chip_response, integrate_roots, resonators
+from kc2spice.rom.modal import Resonators, integrate_roots, resonators, simulate_chip
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
-from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
+from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_krylov_space
 
 # Number of states of the comparison model, relative to the reduced model, and smallest number of
 # additional states. Example: the stroke of a chip with 0.1 % damping under a kick, with 30 states,
@@ -43,7 +43,7 @@ MAX_CONDITION = 1e8
 CONSTANT_VARIATION = 1e-9  # variation of a constant load or response, relative to the largest value
 
 
-class Orders:
+class ReductionsByOrder:
     """Reductions of one full-order model to prescribed orders, and to many more states.
 
     If the model has definite matrices, all orders use one Krylov subspace: the basis of a larger
@@ -55,12 +55,12 @@ class Orders:
 
     @cached_property
     def _pencil(self) -> Pencil:
-        return reduced_form(self.model.pencil)
+        return eliminate_algebraic_unknowns(self.model.pencil)
 
     @cached_property
     def _space(self) -> BlockArnoldi | None:
         definite = is_definite(self._pencil, undamped_too=True)
-        return krylov_space(self._pencil) if definite else None
+        return make_krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
         """Return the reduced model of an order, whose highest modes are massless for contacts."""
@@ -96,7 +96,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
         parts = (_select_modes(modal, rows) for rows in _split_modes(modal.order, t.size))
-        return np.asarray(result + sum(chip_response(part, t, load)[0] for part in parts))
+        return np.asarray(result + sum(simulate_chip(part, t, load)[0] for part in parts))
     try:
         A, B, C, direct = model.state_space()
         poles, T = eig(A)
@@ -130,14 +130,14 @@ def _select_modes(modal: Resonators, rows: slice) -> Resonators:
     )
 
 
-def last_change(load: np.ndarray) -> int:
+def find_last_change(load: np.ndarray) -> int:
     """Find the last time point at which an input of ``load`` (n, inputs) changes."""
     step = np.abs(np.diff(load, axis=0)) > CONSTANT_VARIATION * np.abs(load).max(axis=0)
     changes = np.flatnonzero(step.any(axis=1))
     return int(changes[-1]) + 1 if changes.size else 0
 
 
-def time_errors(
+def compute_time_errors(
     small: LinearModel,
     rich: LinearModel,
     t: np.ndarray,

@@ -22,7 +22,7 @@ ZERO_ENTRY = 1e-11
 BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
 
 
-def reference_share(norm: str) -> float:
+def get_reference_share(norm: str) -> float:
     """Return the smallest reference of errors of an entry, as a fraction of its peak."""
     return PEAK_SHARE if norm == "pointwise" else 1.0
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import PEAK_SHARE, Entries, reference_share
+from kc2spice.rom.entries import PEAK_SHARE, Entries, get_reference_share
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
@@ -45,7 +45,7 @@ PEAK_ROUNDS = 3  # number of rounds that refine the largest errors
 FIRST_FREQUENCIES = 6
 
 
-def adaptive_frequencies(
+def choose_adaptive_frequencies(
     response: Response, band: tuple[float, float], static: bool, norm: Norm = "pointwise"
 ) -> np.ndarray:
     """Choose frequencies [Hz] at which relative errors are large.
@@ -134,7 +134,7 @@ class ErrorEstimator:
     @cached_property
     def frequency(self) -> np.ndarray:
         """Frequencies [Hz] with large errors, at which the exact model is solved once."""
-        return adaptive_frequencies(self.exact, self.band, self.static, self.norm)
+        return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
     def reference(self) -> tuple[np.ndarray, Entries]:
@@ -145,7 +145,7 @@ class ErrorEstimator:
     @property
     def share(self) -> float:
         """Smallest reference of errors of an entry, as a fraction of the entry's peak."""
-        return reference_share(self.norm)
+        return get_reference_share(self.norm)
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
@@ -213,7 +213,7 @@ class ErrorEstimator:
         return worst
 
 
-def errors_above_band(
+def estimate_errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
     """Compute the errors ``above`` the band for a :class:`Certificate`.

@@ -21,9 +21,13 @@ from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.free_body import find_free_body
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, Schur, is_symmetric
-from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
-from kc2spice.rom.reductors.exact_samples import sampled_model
-from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MAX_POINTS, rational_krylov_model
+from kc2spice.rom.reductors.definite_krylov import reduce_definite_model
+from kc2spice.rom.reductors.exact_samples import reduce_by_samples
+from kc2spice.rom.reductors.rational_krylov import (
+    MANY_POINTS,
+    MAX_POINTS,
+    reduce_by_rational_krylov,
+)
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
     MIN_DAMPING_RATIO,
@@ -31,14 +35,14 @@ from kc2spice.rom.response import (
     drop_points_near_poles,
     grid,
 )
-from kc2spice.rom.rigid_body import hidden_support, project_with_rigid_body, split_rigid_body
+from kc2spice.rom.rigid_body import find_hidden_support, project_with_rigid_body, split_rigid_body
 from kc2spice.rom.rounding import (
     CHECKED_RESONANCES,
     TRIAL_FACTOR,
-    removed_stiffness,
-    rounding_uncertainty,
-    uncertainty_note,
-    zero_entries,
+    describe_uncertainty,
+    estimate_removed_stiffness,
+    estimate_rounding_uncertainty,
+    find_zero_entries,
 )
 from kc2spice.rom.stability import is_dissipative
 
@@ -81,7 +85,7 @@ def intermediate_model(
         # with well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
-                return sampled_model(full, band, target, limit)
+                return reduce_by_samples(full, band, target, limit)
             except SimulationError:
                 pass  # the model has rigid-body modes, or too many resonances
         if inaccurate is not None:
@@ -98,13 +102,13 @@ def intermediate_model(
     points = MANY_POINTS if moderate else MAX_POINTS
     if not (moderate and pencil.is_dense and pencil.degree == 1):
         try:
-            result = rational_krylov_model(scaled, band, target, limit, points)
+            result = reduce_by_rational_krylov(scaled, band, target, limit, points)
             return _restore_units(pencil, band, result)
         except SimulationError:
             if not moderate:
                 raise
     complete = _use_full_order(scaled.dense(), band, limit, MAX_DENSE_STATES)
-    result = complete or rational_krylov_model(scaled, band, target, limit, MAX_POINTS)
+    result = complete or reduce_by_rational_krylov(scaled, band, target, limit, MAX_POINTS)
     return _restore_units(pencil, band, result)
 
 
@@ -123,7 +127,7 @@ def _build_definite_model(
         body = find_free_body(pencil, omega) if deflated else None
         if body is None:
             return None
-    return definite_krylov_model(pencil, band, target, limit, body)
+    return reduce_definite_model(pencil, band, target, limit, body)
 
 
 def _restore_units(
@@ -152,13 +156,13 @@ def _use_full_order(
     """
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
-    hidden = hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
+    hidden = find_hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
     T = _undamped_modes(full.without_free_motion) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
         full, projected = project_with_rigid_body(original, V, full.free)
     response = Response(full)
-    response.zero = zero_entries(original, V, response, band)
+    response.zero = find_zero_entries(original, V, response, band)
     if not response.decoupled and (
         full.degree * full.size > most
         or (full.size > MAX_DIRECT_UNKNOWNS and not response.diagonal)
@@ -177,10 +181,10 @@ def _use_full_order(
             states = V @ response.states(s)
         elif response.modes is not None and original is full:
             states, dual = response.states(s), response.dual.states(s)
-        size = rounding_uncertainty(original, at, states, dual, response.zero)
+        size = estimate_rounding_uncertainty(original, at, states, dual, response.zero)
         rounded = TRIAL_FACTOR * float(size.max())
         if T is not None:
-            note = uncertainty_note(at, size, 2 * limit)
+            note = describe_uncertainty(at, size, 2 * limit)
         # products and solutions have rounding errors
         if T is None or full.free or full.size < original.size:
             floor = rounded
@@ -194,7 +198,7 @@ def _use_full_order(
     proof = f"these are all states of the full model, solved to {error:.0e}{note}"
     error = min(error, limit)  # a larger error is a rounding error of the input matrices
     if projected is not None:
-        floor = max(floor, removed_stiffness(projected, full, band))
+        floor = max(floor, estimate_removed_stiffness(projected, full, band))
     return IntermediateModel(
         response,
         error,

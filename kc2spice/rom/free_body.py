@@ -18,7 +18,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.definite import has_definite_form
 from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
-from kc2spice.rom.rigid_body import energy_rounding, split_driven_modes
+from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 # Shift relative to the square of the end of the band. With a small shift, the Krylov subspace is
@@ -167,5 +167,5 @@ def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
         ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
     )
     if not isinstance(K, Schur):
-        bound = np.minimum(bound, MAX_RIGID_ENERGY * energy_rounding(K, V))
+        bound = np.minimum(bound, MAX_RIGID_ENERGY * estimate_energy_rounding(K, V))
     return np.asarray(bound)

@@ -131,7 +131,7 @@ def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
     return np.asarray(-np.expm1(-np.maximum(time, 0.0)[:, None] / time_constant))
 
 
-def heat_ladder(model: LinearModel) -> HeatLadder | None:
+def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
     """Return the ladder of a model; None if its matrices do not have the form of a ladder."""
     one = len(model.ports) == 1 and model.ports[0].domain is THERMAL
     if not one or not model.symmetric or (model.B != 1).any():

@@ -26,19 +26,19 @@ import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import names_of
-from kc2spice.rom.entries import reference_share
+from kc2spice.rom.entries import get_reference_share
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.interface_modes import no_congruence_error, reduce_with_interfaces
+from kc2spice.rom.interface_modes import make_no_congruence_error, reduce_with_interfaces
 from kc2spice.rom.interface_split import (
     DENSE,
     ROUNDING,
     PrescribedTemperatures,
     keeps_all_heat,
-    modal_coordinates,
     select_live_ports,
     split_prescribed,
+    transform_to_modal_coordinates,
 )
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.matrix_terms import MatrixTerms, find_terms
@@ -50,9 +50,9 @@ from kc2spice.rom.parametric import (
 )
 from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
 from kc2spice.rom.ranges import RangeTask, certify_over_ranges, record_facts
+from kc2spice.rom.resonators_over_ranges import interpolate_facts, make_range_error
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
-from kc2spice.rom.varying import interpolate_facts, make_range_error
 
 SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced model at each value of the parameters
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
@@ -201,7 +201,7 @@ class _Ranges:
             live = [name for name in names_of(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
         if inner.order <= DENSE:
-            inner, _ = modal_coordinates(inner)
+            inner, _ = transform_to_modal_coordinates(inner)
         limits = 0.01 * self.task.tolerance, 0.3 * self.task.tolerance
         space = intermediate_model(inner.pencil, self.task.band, *limits)
         estimator = space.estimator(self.task.band, self.task.norm)
@@ -239,7 +239,7 @@ class _Reference:
 
     def _static_error(self, ours: PrescribedTemperatures) -> float:
         """Return the largest relative error of the static responses to prescribed temperatures."""
-        share = reference_share(self.ranges.task.norm)
+        share = get_reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
         pairs = (
@@ -299,11 +299,13 @@ class _Basis:
             **aims,
         )
         if small.basis is None:
-            raise no_congruence_error(model)
+            raise make_no_congruence_error(model)
         W = small.basis[parts.others][:, n:]
         K, E = (W.T @ (matrix @ W) for matrix in parts.inner.pencil.coefficients)
         driven = drive_unknowns(model, parts) if ranges.flows else parts.inner
-        _, shapes = modal_coordinates(LinearModel(E=E, K=K, B=W.T @ driven.B, ports=driven.ports))
+        _, shapes = transform_to_modal_coordinates(
+            LinearModel(E=E, K=K, B=W.T @ driven.B, ports=driven.ports)
+        )
         modes = W @ shapes
         gains = np.abs(driven.B.T @ modes)
         total = np.sqrt((gains**2).sum(axis=1, keepdims=True))

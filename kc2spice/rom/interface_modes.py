@@ -28,10 +28,10 @@ from kc2spice.rom.error_estimate import make_inaccuracy_error
 from kc2spice.rom.interface_split import (
     DENSE,
     PrescribedTemperatures,
-    modal_coordinates,
+    get_symmetric_part,
     select_live_ports,
     split_prescribed,
-    symmetric_part,
+    transform_to_modal_coordinates,
 )
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
@@ -120,7 +120,7 @@ def _reduce_parts(
 ) -> LinearModel:
     """Reduce a divided model by the basis of the reduced model ``small`` of ``T_e``."""
     if small.basis is None:
-        raise no_congruence_error(model)
+        raise make_no_congruence_error(model)
     n, at, others = len(parts.at), parts.at, parts.others
     V = np.zeros((model.order, n + small.order))
     V[others, :n], V[at, :n] = parts.psi, np.eye(n)
@@ -128,8 +128,8 @@ def _reduce_parts(
     K_small = np.zeros((V.shape[1],) * 2)
     K_small[:n, :n] = parts.conductance
     K, E = map(sparse.csc_array, model.pencil.coefficients)
-    K_small[n:, n:] = symmetric_part(small.basis.T @ (K[others][:, others] @ small.basis))
-    E_small = symmetric_part(V.T @ (E @ V))
+    K_small[n:, n:] = get_symmetric_part(small.basis.T @ (K[others][:, others] @ small.basis))
+    E_small = get_symmetric_part(V.T @ (E @ V))
     return replace(
         LinearModel(E=E_small, K=K_small, B=V.T @ model.B, ports=model.ports),
         certificate=small.certificate,
@@ -140,7 +140,7 @@ def _reduce_parts(
     )
 
 
-def no_congruence_error(model: LinearModel) -> UsageError:
+def make_no_congruence_error(model: LinearModel) -> UsageError:
     """Make the error for a heat model that no congruence can reduce."""
     return wrong(
         model.name, "this heat model cannot be reduced to a tolerance", hint="set rom.order"
@@ -156,6 +156,6 @@ def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)
-    modal, shapes = modal_coordinates(model)
+    modal, shapes = transform_to_modal_coordinates(model)
     small = reduce_model(modal, **aims)
     return small if small.basis is None else replace(small, basis=shapes @ small.basis)

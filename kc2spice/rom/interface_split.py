@@ -67,13 +67,13 @@ def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> Prescribe
     B = np.hstack([model.B[np.ix_(others, sources)], coupling])
     inner = LinearModel(E=E_ee, K=K_ee, B=B, ports=tuple(ports))
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
-    conductance = symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
+    conductance = get_symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
     if keeps_all_heat(K):
         # a uniform temperature must not cause a heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
     return PrescribedTemperatures(
-        at, others, psi, shares, conductance, symmetric_part(stored), inner
+        at, others, psi, shares, conductance, get_symmetric_part(stored), inner
     )
 
 
@@ -83,10 +83,10 @@ def select_live_ports(model: LinearModel) -> LinearModel:
     return model.select([model.ports[k].name for k in live])
 
 
-def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
+def transform_to_modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     """Return a heat model in modal coordinates, with a unit matrix K, and the mode shapes."""
     K, E = model.pencil.dense().coefficients
-    times, shapes = scipy.linalg.eigh(symmetric_part(E), symmetric_part(K))
+    times, shapes = scipy.linalg.eigh(get_symmetric_part(E), get_symmetric_part(K))
     modal = LinearModel(
         E=np.diag(np.maximum(times, 0.0)),
         K=np.eye(model.order),
@@ -99,6 +99,6 @@ def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     return modal, shapes
 
 
-def symmetric_part(matrix: np.ndarray) -> np.ndarray:
+def get_symmetric_part(matrix: np.ndarray) -> np.ndarray:
     """Return the symmetric part of a matrix."""
     return np.asarray(0.5 * (matrix + matrix.T))

@@ -66,7 +66,7 @@ class IntermediateModel:
         return ErrorEstimator(self.response, band, self.static and not self.pencil.free, norm)
 
 
-def no_convergence_error(
+def make_no_convergence_error(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
     modes = response.within(band)[0].size

@@ -56,12 +56,12 @@ class Oscillator:
         return np.asarray(self.spring + self.dashpot * s + self.mass * s**2 + relaxed)
 
 
-def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
+def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
     """Make the oscillator with a dashpot whose dynamic stiffness is exact at its resonance.
 
     Examples
     --------
-    >>> mode = viscous_oscillator(4.0, 0.1)
+    >>> mode = make_viscous_oscillator(4.0, 0.1)
     >>> complex(mode(np.array([2j]))[0])
     0.1j
     """
@@ -69,7 +69,7 @@ def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
     return Oscillator(stiffness, loss / np.sqrt(stiffness), 1.0, none, none)
 
 
-def relaxing_oscillator(
+def fit_relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
     """Fit an oscillator with given rates to a dynamic stiffness.
@@ -103,7 +103,9 @@ def relaxing_oscillator(
         lawson = lawson * np.sqrt(size / (size.max() + np.finfo(float).tiny) + MIN_WEIGHT_FACTOR)
         lawson = lawson / lawson.max()
     if best is None:
-        return viscous_oscillator(max(stiffness.real.max(), 0.0), max(stiffness.imag.max(), 0.0))
+        return make_viscous_oscillator(
+            max(stiffness.real.max(), 0.0), max(stiffness.imag.max(), 0.0)
+        )
     amplitudes = best[3:]
     used = amplitudes > MIN_AMPLITUDE * best[0]
     return Oscillator(best[0], best[1], best[2], amplitudes[used], rates[used])

@@ -46,7 +46,7 @@ import scipy
 from kc2spice.core.domains import ACCELERATION, PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.error_estimate import ErrorEstimator, errors_above_band
+from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
@@ -144,7 +144,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
 
-def mode_table(model: LinearModel) -> dict[str, Any] | None:
+def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
     """List the modes with all electrodes shorted and no load.
 
     The table ends at the end of the certificate's band. Each item of ``modes`` has
@@ -277,7 +277,7 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
-            more = dict(errors_above_band(model.ports, exact, light, band))
+            more = dict(estimate_errors_above_band(model.ports, exact, light, band))
             above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
             return replace(
                 result,
@@ -338,7 +338,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
 _BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory together
 
 
-def chip_response(
+def simulate_chip(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the outputs of a chip and its stored energy under a given load.
@@ -361,9 +361,8 @@ def chip_response(
         model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy]
     )
     z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
-    slow = heavy + np.flatnonzero(
-        model.damp[heavy:]
-    )  # undamped massless states respond without delay
+    # undamped massless states respond without delay
+    slow = heavy + np.flatnonzero(model.damp[heavy:])
     damp = model.damp[slow]
     z[:, slow] = integrate_roots(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
@@ -455,7 +454,7 @@ def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
     return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
 
 
-def clamped_tangent(tangent: float, ratio: float) -> float:
+def compute_clamped_tangent(tangent: float, ratio: float) -> float:
     """Compute the loss tangent of a clamped body from the loss ``tangent`` of the free body.
 
     Both loss tangents are at 1 kHz.
@@ -473,7 +472,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
 
     Examples
     --------
-    >>> round(clamped_tangent(0.02, 1.0), 4)
+    >>> round(compute_clamped_tangent(0.02, 1.0), 4)
     0.04
     """
     if not tangent * ratio < 1:  # otherwise the loss angle would be at least 90 degrees
@@ -535,7 +534,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
         )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
-    clamped_loss = clamped_tangent(tangent, float(motional / np.trace(D)))
+    clamped_loss = compute_clamped_tangent(tangent, float(motional / np.trace(D)))
     amplitude, rates, off = fit_foster_network(
         clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
     )

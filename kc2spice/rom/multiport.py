@@ -30,7 +30,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
 from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.pencil import explicit_pencil
+from kc2spice.rom.pencil import make_explicit_pencil
 from kc2spice.rom.state_space import ABCD
 
 # number of iterations of vector fitting; further iterations would amplify rounding errors
@@ -272,7 +272,7 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
     """Return the frequency response of state-space matrices."""
-    return explicit_pencil(*model).transfer(2j * np.pi * f)
+    return make_explicit_pencil(*model).transfer(2j * np.pi * f)
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:

@@ -162,7 +162,7 @@ class ParameterPolynomials:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Parametric(ParameterPolynomials):
+class DenseParametricModel(ParameterPolynomials):
     """Reduced models over ranges of parameters.
 
     ``terms`` contains the coefficients (terms, …) of the polynomials for M, K, B, D and E (or
@@ -195,7 +195,7 @@ def reduce_over_parameters(
     *,
     degree: int | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> Parametric:
+) -> DenseParametricModel:
     """Reduce the models ``full(values)`` over the parameter ranges ``axes``.
 
     The result is accurate up to the end of ``band`` [Hz]. ``degree`` is the total degree of the
@@ -252,7 +252,7 @@ def reduce_over_parameters(
         )
         for letter, values in rows.items()
     }
-    return Parametric(
+    return DenseParametricModel(
         axes=stiffness_axes,
         losses=tuple(losses),
         exponents=exponents,
@@ -261,23 +261,23 @@ def reduce_over_parameters(
     )
 
 
-def higher_degree(model: Parametric) -> int | None:
+def choose_higher_degree(model: DenseParametricModel) -> int | None:
     """Return the next higher total degree of the polynomials, None beyond :data:`MAX_DEGREES`."""
     degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
     return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
 
-def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
+def compute_modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """Compute the response ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
 
     Modes up to twice the highest frequency are included, and the static response represents all
     higher modes. This takes a second for models whose direct solutions take minutes.
     """
     f = np.asarray(frequency, dtype=float)
-    return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)
+    return project_on_modes(model, float(f.max())).transfer(2j * np.pi * f)
 
 
-def modal_projection(model: LinearModel, top: float) -> Pencil:
+def project_on_modes(model: LinearModel, top: float) -> Pencil:
     """Project a full model on its modes up to twice the frequency ``top`` [Hz].
 
     The basis also contains the part of the static responses that the modes do not represent.
@@ -287,7 +287,7 @@ def modal_projection(model: LinearModel, top: float) -> Pencil:
     )
 
 
-def natural_modes(
+def compute_natural_modes(
     pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute squared natural frequencies (k,) below ``top`` [rad/s], and their mode shapes.
@@ -335,7 +335,7 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     # K is regular if the body has a support
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)
     inverse = pencil.pencil_solver(square)
-    _, V = natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
+    _, V = compute_natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
     still = inverse.solve(pencil.B)
     # the basis also contains the derivative with respect to s^2
     still = np.column_stack([still, inverse.solve(M @ still)])
@@ -359,9 +359,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return a parameter that scales only the damping, None if it changes other matrices.
-
-    """
+    """Return a parameter that scales only the damping, None if it changes other matrices."""
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)

@@ -51,8 +51,7 @@ class SharedValue(Generic[T]):
         return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
-        """Share the value with ``other``, so that it is computed only once.
-"""
+        """Share the value with ``other``, so that it is computed only once."""
         self._values = other._values
 
 
@@ -275,8 +274,7 @@ class Pencil:
 
     @cached_property
     def undamped(self) -> bool:
-        """Whether the model is of second order without damping, so that ``P(j w)`` is real.
-"""
+        """Whether the model is of second order without damping, so that ``P(j w)`` is real."""
         return self.degree == 2 and largest_entry(self.coefficients[1]) == 0
 
     @property
@@ -578,7 +576,7 @@ def _bordered(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.block([[square, columns[:old]], [columns[:old].T, corner]])
 
 
-def explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
+def make_explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
     """Return the pencil of ``x' = A x + B u``, ``y = C x + D u``."""
     return Pencil((-A, np.eye(len(A))), B, C, D)
 

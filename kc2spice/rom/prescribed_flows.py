@@ -27,7 +27,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.rom.entries import Entries, reference_share
+from kc2spice.rom.entries import Entries, get_reference_share
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
@@ -95,7 +95,7 @@ class FlowReference:
         n = len(parts.at)
         rounding[:n, :n] *= np.abs(model.pencil.coefficients[0]).diagonal()[parts.at].max()
         rounding[n:, n:] = 0.0
-        return cls(frequency, response, uncertainty, rounding, reference_share(norm))
+        return cls(frequency, response, uncertainty, rounding, get_reference_share(norm))
 
     def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
         """Return the largest relative error of a reduced ``model`` divided into ``parts``."""

@@ -24,9 +24,9 @@ import numpy as np
 from kc2spice.core.errors import UsageError, name_part_in_errors, unknown
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.linalg.solver import DirectSolver, use_solver
-from kc2spice.rom.band import natural_band
-from kc2spice.rom.certification import certify, with_full_order
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.band import choose_natural_band
+from kc2spice.rom.certification import certify, certify_with_full_order
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.intermediate import IntermediateModel
@@ -34,12 +34,12 @@ from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor, require_basis
-from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
-from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
+from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_nested_model
+from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, find_reductor, list_suited_reductors
 from kc2spice.rom.refinement import find_lower_order
 from kc2spice.rom.search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.structural import approximate_causally, first_order_model
+from kc2spice.rom.structural import approximate_causally, reduce_to_first_order
 
 MAX_FREQUENCY = 1e30  # Hz; the square of the angular frequency is a finite float
 # Smallest tolerance, ten times MIN_ERROR_ESTIMATE: solutions of the full-order model are hardly
@@ -149,7 +149,7 @@ def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
     rom, tolerance = _reduce(fom, target), target.tolerance
     if tolerance is None or target.contact or target.method or fom.first_order:
         return rom
-    return first_order_model(fom, rom, _make_congruence(target), tolerance, target.norm)
+    return reduce_to_first_order(fom, rom, _make_congruence(target), tolerance, target.norm)
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,9 @@ class Target:
 
 def _reduce(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model with viscous damping."""
-    pencil = reduced_form(fom.pencil)
+    pencil = eliminate_algebraic_unknowns(fom.pencil)
     band = choose_band(fom, pencil, target.band)
-    intermediate, full_order_proof = verified_first_step(pencil, band, target)
+    intermediate, full_order_proof = make_verified_first_step(pencil, band, target)
     task = Task.of(fom, pencil, intermediate, band, target.norm, target.tolerance)
     reductors = list_methods(task, target)
     if target.tolerance is None:
@@ -185,7 +185,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
         basis, order = find_basis_within(task, reductors, target)
     rom = certify(basis, order)
     warn_of_rounding_errors(rom, intermediate.floor, target.tolerance)
-    return with_full_order(rom, full_order_proof)
+    return certify_with_full_order(rom, full_order_proof)
 
 
 def choose_band(
@@ -201,7 +201,7 @@ def choose_band(
             expected="at least one entry in each of the matrices B and C",
             hint=f"export the matrix {letter} again",
         )
-    band = band or fom.band or natural_band(pencil)
+    band = band or fom.band or choose_natural_band(pencil)
     if not 0 <= band[0] < band[1] <= MAX_FREQUENCY:
         expected = f"0 <= f0 < f1 <= {MAX_FREQUENCY:g} in Hz"
         raise UsageError(
@@ -216,7 +216,7 @@ def choose_band(
     return float(band[0]), float(band[1])
 
 
-def verified_first_step(
+def make_verified_first_step(
     pencil: Pencil, band: tuple[float, float], target: Target
 ) -> tuple[IntermediateModel, StabilityProof]:
     """Return the intermediate model, and stability and passivity of the full-order model.
@@ -234,7 +234,7 @@ def verified_first_step(
     result = None
     try:
         if target.order is not None and by_krylov and is_definite(pencil):
-            result = nested_model(pencil, target.order, target.space)
+            result = make_nested_model(pencil, target.order, target.space)
         else:
             deflated = target.order is None  # the user may prescribe any order
             result = intermediate_model(pencil, band, goal, limit, deflated=deflated)
@@ -253,10 +253,10 @@ def verified_first_step(
 def list_methods(task: Task, target: Target) -> list[Reductor]:
     """Return the prescribed method, otherwise all methods that suit the model."""
     if target.method is not None:
-        return [reductor_named(target.method)]
+        return [find_reductor(target.method)]
     if not task.intermediate.proof:
         return [BLOCK_KRYLOV]
-    return suited_reductors(task)
+    return list_suited_reductors(task)
 
 
 def find_basis_of_order(
@@ -271,7 +271,7 @@ def find_basis_of_order(
     """
     assert target.order is not None
     bases = {} if bases is None else bases
-    key = reductor_named(target.method).name if target.method is not None else ""
+    key = find_reductor(target.method).name if target.method is not None else ""
     if key not in bases:
         if target.method is not None:
             bases[key] = [_prescribed_basis(task, reductors[0])]
@@ -297,8 +297,7 @@ def find_basis_within(
 
 
 def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
-    """Return the tolerance minus the rounding error, or the tolerance if too little remains.
-"""
+    """Return the tolerance minus the rounding error, or the tolerance if too little remains."""
     remaining = tolerance - intermediate.floor
     attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
     enough = remaining > min(MAX_INTERMEDIATE_SHARE * tolerance, attainable)
@@ -367,11 +366,15 @@ def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
             expected="a tolerance instead of the order",
             hint="replace the order by the tolerance 1e-4",
         )
-    if target.method is not None and not reductor_named(target.method).congruence:
+    if target.method is not None and not find_reductor(target.method).congruence:
         problem = "structural damping needs a method that preserves the form of the matrices"
         raise UsageError(problem, where="method", got=target.method)
     undamped = replace(fom, loss_factor=0.0, loss=None)
-    band = target.band or fom.band or natural_band(reduced_form(undamped.pencil))
+    band = (
+        target.band
+        or fom.band
+        or choose_natural_band(eliminate_algebraic_unknowns(undamped.pencil))
+    )
     return approximate_causally(fom, _make_congruence(target), target.tolerance, band, target.norm)
 
 
@@ -405,4 +408,4 @@ def require_valid(target: Target) -> None:
     if target.norm not in get_args(Norm):
         raise unknown("this norm does not exist", target.norm, get_args(Norm), "norm")
     if target.method is not None:
-        reductor_named(target.method)
+        find_reductor(target.method)

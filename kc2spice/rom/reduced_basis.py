@@ -20,7 +20,7 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reductors.vectors import improve_condition, require_vectors, unit_scale
+from kc2spice.rom.reductors.vectors import improve_condition, require_vectors, scale_to_unit_norm
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import to_hertz, to_schur_form
@@ -166,11 +166,11 @@ class Task:
             fixed = int(others[:fixed].sum())
             V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
             W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
-        V = improve_condition(unit_scale(V))
+        V = improve_condition(scale_to_unit_norm(V))
         if W is None:
             pencil = self.core.project(V)
         else:
-            W = improve_condition(unit_scale(W))
+            W = improve_condition(scale_to_unit_norm(W))
             parts = tuple(W.T @ P @ V for P in self.core.coefficients)
             pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
         pencil, vectors = self.with_rigid_body(pencil), self.add_rigid_body_vectors(V)

@@ -17,8 +17,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import quantity
 from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import parse_band
-from kc2spice.rom.certification import certify, with_full_order
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.certification import certify, certify_with_full_order
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import (
@@ -28,13 +28,13 @@ from kc2spice.rom.reduce import (
     find_basis_of_order,
     find_basis_within,
     list_methods,
+    make_verified_first_step,
     reduce_model,
     require_valid,
-    verified_first_step,
     warn_of_rounding_errors,
 )
 from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, SAFETY_FACTOR, ReducedBasis, Task
-from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
+from kc2spice.rom.reductors.balanced_truncation import compute_hankel_singular_values
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 from kc2spice.rom.response import Response
@@ -303,7 +303,7 @@ class Reduction:
         )
         require_valid(self._target)
         self.model, self.norm = model, self._target.norm
-        self._pencil = reduced_form(model.pencil)
+        self._pencil = eliminate_algebraic_unknowns(model.pencil)
         self.band = choose_band(model, self._pencil, parse_band(band))
         self._bases: dict[str, list[ReducedBasis]] = {}
         self._solver = solver
@@ -313,7 +313,9 @@ class Reduction:
         """Make the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
         with use_solver(self._solver):
-            self._intermediate, self._proof = verified_first_step(self._pencil, self.band, target)
+            self._intermediate, self._proof = make_verified_first_step(
+                self._pencil, self.band, target
+            )
         self._tolerance = target.tolerance
         self._task = Task.of(self.model, self._pencil, self._intermediate, self.band, self.norm)
         self._bases.clear()
@@ -351,7 +353,7 @@ class Reduction:
         UsageError : the model is not strictly stable, or the intermediate model has more than 2000
             states.
         """
-        values = hankel_singular_values(self._task)
+        values = compute_hankel_singular_values(self._task)
         if values is None:
             raise UsageError(
                 "this model has no Hankel singular values",
@@ -399,7 +401,7 @@ class Reduction:
             basis, order = self._basis_within(tolerance, target)
         rom = certify(basis, order)
         warn_of_rounding_errors(rom, self._intermediate.floor, tolerance)
-        return with_full_order(rom, self._proof)
+        return certify_with_full_order(rom, self._proof)
 
     def error(self, order: int) -> float:
         """Return the error estimate of the model of an order; see :meth:`reduce`."""

@@ -14,7 +14,7 @@ import scipy
 
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import SAFETY_FACTOR, ReducedBasis
-from kc2spice.rom.reductors.balanced_truncation import balancing_factors
+from kc2spice.rom.reductors.balanced_truncation import compute_balancing_factors
 from kc2spice.rom.reductors.snapshots import snapshots
 from kc2spice.rom.relaxing_fit import fit_minimax
 from kc2spice.rom.response import Response
@@ -55,7 +55,7 @@ def fit_output_matrix(
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
-    rows, columns = balancing_factors(peak)
+    rows, columns = compute_balancing_factors(peak)
     target = (H - basis.pencil.D) / (rows[:, None] * columns)
     best, trial_order, sufficient = (
         (basis, order),

@@ -12,7 +12,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
-from kc2spice.rom.rigid_body import free_part
+from kc2spice.rom.rigid_body import select_rigid_body_part
 
 # Largest response, relative to the sum of its terms, that is a rounding error by cancellation.
 CANCELLATION_ROUNDING = 1e-13
@@ -129,7 +129,7 @@ class Response:
         The rigid-body motion is omitted, because its response grows without bound as the frequency
         approaches zero.
         """
-        free = free_part(self.pencil, 2 * np.pi * frequency.max())
+        free = select_rigid_body_part(self.pencil, 2 * np.pi * frequency.max())
         if free is not None:
             H = H - (free.transfer(2j * np.pi * frequency) - free.D)
         return np.asarray(np.abs(H).max(axis=0))

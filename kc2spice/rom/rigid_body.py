@@ -112,10 +112,8 @@ def _split_congruently(
     return RigidBodySplit(result, V, True, projected)
 
 
-def free_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the pencil of the rigid-body motion, None if there is no rigid-body motion.
-
-    """
+def select_rigid_body_part(pencil: Pencil, omega: float) -> Pencil | None:
+    """Return the pencil of the rigid-body motion, None if there is no rigid-body motion."""
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading_model(pencil.free) if pencil.free else None
@@ -160,12 +158,14 @@ def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | Non
     turn, size, _ = np.linalg.svd(energy)
     X = X @ turn
     noise = (
-        ENERGY_FACTOR * energy_rounding(K, X) if rounding is None else abs(X).T @ rounding @ abs(X)
+        ENERGY_FACTOR * estimate_energy_rounding(K, X)
+        if rounding is None
+        else abs(X).T @ rounding @ abs(X)
     )
     return np.asarray(X[:, size <= np.diag(noise)])
 
 
-def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
+def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     """Estimate the errors of ``V'PV`` (k, k) by random rounding of the entries of P.
 
     The rounding errors of the entries are independent, so the squares of their effects add:
@@ -177,7 +177,7 @@ def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     )
 
 
-def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
+def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     """Return the frequency [Hz] below which rounding errors hide the resonance of a support.
 
     A support of the rigid-body motions X (n, motions) is hidden if it is not stiffer than the
@@ -197,7 +197,7 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
     turn, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
     X = X @ turn
-    random = np.diag(energy_rounding(K, X))
+    random = np.diag(estimate_energy_rounding(K, X))
     mass = np.einsum("ij,ij->j", X, M @ X)
     if not (mass > 0).all():
         return 0.0

@@ -35,7 +35,7 @@ NEGLIGIBLE_SHARE = 0.01
 TRIAL_FACTOR = 3.0  # safety factor on the largest change in a few trials
 
 
-def rounding_uncertainty(
+def estimate_rounding_uncertainty(
     pencil: Pencil,
     frequency: np.ndarray,
     states: np.ndarray | None = None,
@@ -50,11 +50,13 @@ def rounding_uncertainty(
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
-    size = relative_size(rounding_change(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
+    size = relative_size(
+        estimate_rounding_change(pencil, frequency, x, dual), H, Entries.of(H, zero=zero)
+    )
     return np.asarray(size.max(axis=(1, 2)))
 
 
-def rounding_change(
+def estimate_rounding_change(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
     """Estimate the change (frequencies, outputs, inputs) of a response by rounding of entries.
@@ -73,7 +75,7 @@ def rounding_change(
     return np.asarray(np.finfo(float).eps * np.reshape(result, (len(s), *pencil.D.shape)))
 
 
-def zero_entries(
+def find_zero_entries(
     pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
 ) -> np.ndarray | bool:
     """Find the entries (outputs, inputs) of a model that are zero by symmetry.
@@ -103,12 +105,12 @@ def zero_entries(
             else pencil.transposed().states(2j * np.pi * f[rows])
         )
         if both or dual is not None:
-            limit = ENERGY_ROUNDING * rounding_change(pencil, f[rows], V @ x[rows], dual)
+            limit = ENERGY_ROUNDING * estimate_rounding_change(pencil, f[rows], V @ x[rows], dual)
             faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
     return np.asarray(faint.all(axis=0))
 
 
-def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
+def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     """Describe the effect of rounding of the matrices on the response, for the certificate.
 
     ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The text is
@@ -125,7 +127,7 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     return f", and rounding of its matrices {text}" if size[worst] > STATED_UNCERTAINTY else ""
 
 
-def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
+def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     """Return the change of the response if the stiffness of rigid-body motions is removed.
 
     This stiffness is a rounding error. The change is evaluated at the lowest relevant frequency,
@@ -136,7 +138,7 @@ def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]
     return float(relative_size(projected.transfer(s) - H, H).max())
 
 
-def with_rounding(
+def add_rounding_floor(
     pencil: Pencil,
     V: np.ndarray,
     band: tuple[float, float],

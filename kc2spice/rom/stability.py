@@ -112,9 +112,7 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 
 
 def is_dissipative(pencil: Pencil) -> bool:
-    """Return whether the matrices prove that only the ports can increase the stored energy.
-
-    """
+    """Return whether the matrices prove that only the ports can increase the stored energy."""
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest_entry
+from kc2spice.rom.pencil import Pencil, first_order, largest_entry, make_explicit_pencil
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -185,7 +185,7 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
     T, Z = scipy.linalg.schur(A / omega, output="real")
-    return explicit_pencil(T, Z.T @ B / omega, C @ Z, D)
+    return make_explicit_pencil(T, Z.T @ B / omega, C @ Z, D)
 
 
 def to_hertz(pencil: Pencil, top: float) -> Pencil:

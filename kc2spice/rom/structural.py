@@ -26,15 +26,15 @@ import scipy
 
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.entries import Entries, reference_share
-from kc2spice.rom.error_estimate import adaptive_frequencies
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
+from kc2spice.rom.entries import Entries, get_reference_share
+from kc2spice.rom.error_estimate import choose_adaptive_frequencies
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.lossy_modes import (
     Oscillator,
     assemble_oscillators,
-    relaxing_oscillator,
-    viscous_oscillator,
+    fit_relaxing_oscillator,
+    make_viscous_oscillator,
 )
 from kc2spice.rom.pencil import Pencil, Schur, largest_entry
 from kc2spice.rom.response import Response, grid
@@ -49,9 +49,8 @@ MIN_TOLERANCE = 1e-10  # smallest tolerance of a reduction
 DIRECT_SOLUTIONS = 6  # number of direct solutions of the full model that check a causal model
 # Rates of relaxations, relative to the resonance or to the end of the band, whichever is lower.
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-LOWEST_FREQUENCIES = 10.0 ** -np.arange(
-    9.0, 4.0, -1.0
-)  # lowest frequencies over the end of a band from zero: the loss remains at zero frequency
+# lowest frequencies over the end of a band from zero: the loss remains at zero frequency
+LOWEST_FREQUENCIES = 10.0 ** -np.arange(9.0, 4.0, -1.0)
 # largest error with relaxations, relative to the error without them, that justifies relaxations
 MAX_ERROR_RATIO = 0.5
 UNCHANGED_SHARE = 0.1  # largest error of modes that remain unchanged, relative to the error limit
@@ -144,7 +143,7 @@ class _Search:
         """Reduce the model with viscous damping."""
         # within the band, this damping is at most the structural damping
         beta = 1 / (2 * np.pi * self.band[1])
-        viscous, other = with_viscous_loss(self.full, beta)
+        viscous, other = make_loss_viscous(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
         K, E, M = (0.5 * (P + P.T) for P in small.pencil.dense().coefficients)
         try:
@@ -182,7 +181,7 @@ class _Search:
         """Modes with one dashpot each; rigid-body modes have no dashpot."""
         share = self._largest_decoupled_share
         return [
-            viscous_oscillator(k, share * h)
+            make_viscous_oscillator(k, share * h)
             if k > 0
             else Oscillator(0.0, 0.0, 1.0, *NO_RELAXATIONS)
             for k, h in zip(self.squares, np.diag(self.H), strict=True)
@@ -190,8 +189,7 @@ class _Search:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest share of the modes' losses that can be subtracted without a negative loss.
-"""
+        """Largest share of the modes' losses that can be subtracted without a negative loss."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -221,7 +219,7 @@ class _Search:
         """Return the modes, with relaxations in modes whose error then falls considerably."""
         frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
-        base = Entries.of(exact).base(exact, reference_share(self.norm)) + np.finfo(float).tiny
+        base = Entries.of(exact).base(exact, get_reference_share(self.norm)) + np.finfo(float).tiny
         losses = np.diag(self.H)
         trials: list[Oscillator] = []
         before: list[float] = []
@@ -235,7 +233,7 @@ class _Search:
             trial = mode
             if k > 0 and weight.any():
                 rates = pace * np.array(relative_rates)
-                trial = relaxing_oscillator(s, target, weight, rates)
+                trial = fit_relaxing_oscillator(s, target, weight, rates)
             trials.append(trial)
             for errors, item in ((before, mode), (after, trial)):
                 errors.append(float((weight * np.abs(item(s) - target)).max()))
@@ -249,7 +247,9 @@ class _Search:
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(
-            Entries.of(exact).relative_sizes(ours - exact, exact, reference_share(self.norm)).max()
+            Entries.of(exact)
+            .relative_sizes(ours - exact, exact, get_reference_share(self.norm))
+            .max()
         )
 
     def error(self, modes: Sequence[Oscillator]) -> float:
@@ -268,16 +268,14 @@ class _Search:
         full = self.full.transfer(frequencies)
         entries = Entries.of(self._comparison_response(self.dashpot_modes)[1])
         off = entries.relative_sizes(
-            result.transfer(frequencies) - full, full, reference_share(self.norm)
+            result.transfer(frequencies) - full, full, get_reference_share(self.norm)
         )
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies [Hz] at which errors are large, and the structural response there.
-
-        """
+        """Return frequencies [Hz] at which errors are large, and the structural response there."""
         response = Response(self.model(modes).pencil.dense())
-        frequency = adaptive_frequencies(response, self.band, False, self.norm)
+        frequency = choose_adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
         if self.band[0] == 0:
             frequency = np.r_[self.band[1] * LOWEST_FREQUENCIES, frequency]
@@ -301,7 +299,7 @@ class _Search:
 NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates
 
 
-def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
+def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
     """Replace structural damping H by viscous damping ``beta H``.
 
     The results are the model, and the factors of M and K in proportional damping.
@@ -344,7 +342,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 
 
-def first_order_model(
+def reduce_to_first_order(
     model: LinearModel,
     reduced_model: LinearModel,
     reduced: Reductor,
@@ -362,7 +360,7 @@ def first_order_model(
     if not poles.size or (np.abs(poles.imag) > REAL_POLE_TOLERANCE * np.abs(poles)).any():
         return reduced_model
     states = reduced_model.order * (1 if reduced_model.first_order else 2)
-    pencil = reduced_form(model.pencil)
+    pencil = eliminate_algebraic_unknowns(model.pencil)
     if pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
         return reduced_model
     K, E, _ = pencil.coefficients
@@ -376,7 +374,7 @@ def first_order_model(
         exact, ours = model.transfer(frequency), light.transfer(frequency)
     except SimulationError:
         return reduced_model
-    share = reference_share(norm)
+    share = get_reference_share(norm)
     mass = SAFETY_FACTOR * float(Entries.of(exact).relative_sizes(ours - exact, exact, share).max())
     if mass > MASSLESS_SHARE * tolerance:
         return reduced_model

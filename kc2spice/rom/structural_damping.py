@@ -74,7 +74,7 @@ class RelaxingStiffness(EqualByContent):
         return float(self.constant + self.amplitudes.sum())
 
 
-def constant_loss(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
+def causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
     """Return the causal factor of stiffness (n,) for a constant loss factor.
 
     Parameters
@@ -88,7 +88,7 @@ def constant_loss(frequency: np.ndarray, loss_factor: float, at: float) -> np.nd
 
     Examples
     --------
-    >>> complex(np.round(constant_loss(2e3, 0.05, 2e3), 12))
+    >>> complex(np.round(causal_loss_factor(2e3, 0.05, 2e3), 12))
     (1+0.05j)
     """
     angle = math.atan(loss_factor)
@@ -96,7 +96,7 @@ def constant_loss(frequency: np.ndarray, loss_factor: float, at: float) -> np.nd
     return np.asarray(power / math.cos(angle))
 
 
-def relaxing_stiffness(
+def fit_relaxing_stiffness(
     loss_factor: float,
     at: float,
     band: tuple[float, float],
@@ -122,8 +122,8 @@ def relaxing_stiffness(
         Function of frequencies (n,) [Hz]. It returns the relative change of the response per
         relative change of the stiffness (n,), such as the Q factor at a resonance; 1 by default.
     noncausal : bool
-        Whether ``1 + j eta`` is fitted at all frequencies instead of :func:`constant_loss`. The
-        error of a passive model is then at least about ``eta / pi log(f2 / f1)``.
+        Whether ``1 + j eta`` is fitted at all frequencies instead of :func:`causal_loss_factor`.
+        The error of a passive model is then at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def relaxing_stiffness(
     f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
     target = np.full(f.size, 1 + 1j * loss_factor)
     if not noncausal:
-        target = constant_loss(f, loss_factor, at)
+        target = causal_loss_factor(f, loss_factor, at)
     weight = np.ones(f.size) if sensitivity is None else sensitivity(f)
     best: tuple[float, RelaxingStiffness] | None = None
     for count in range(2, math.ceil(MAX_PER_DECADE * decades) + ADDITIONAL_RELAXATIONS):

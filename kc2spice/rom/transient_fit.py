@@ -133,9 +133,8 @@ def fit_transient(samples: StepSamples) -> TransientFit:
     return min(fits, key=_criterion)
 
 
-def unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Return the share of the resistance that has not settled at the ``last`` time [s].
-"""
+def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
+    """Return the share of the resistance that has not settled at the ``last`` time [s]."""
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total
 

@@ -19,7 +19,7 @@ from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.entries import Entries, reference_share
+from kc2spice.rom.entries import Entries, get_reference_share
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
 from kc2spice.synthesis.heat import is_heat_model
@@ -202,7 +202,7 @@ class _RelativeError:
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)
-        share = reference_share(self.norm)
+        share = get_reference_share(self.norm)
         apart = self.entries.relative_sizes(
             self.emitted.transfer(frequency) - expected, expected, share
         )

@@ -27,7 +27,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.rom.heat_network import HeatLadder, heat_ladder
+from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
 # relative eigenvalue that counts as zero: heat that no path conducts away
@@ -209,7 +209,7 @@ def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
     The network is a ladder if the model has the matrices of a ladder, and otherwise the modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
-    ladder = heat_ladder(model)
+    ladder = find_heat_ladder(model)
     if ladder is not None:
         cards = list(_ladder_cards(ladder, model.ports[0].terminals[0], base))
         return [*about, *_LADDER_COMMENT.format(base=base).split("\n")], cards

@@ -24,8 +24,8 @@ from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.rom.soft_support import SOFT_SUPPORT
-from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.mode_cards import (
@@ -93,7 +93,7 @@ def parametric_subcircuit(
 
     Parameters
     ----------
-    model : Varying or HeatOverRanges
+    model : ResonatorsOverRanges or HeatOverRanges
         Reduced model over ranges of parameters, such as :func:`kc2spice.reduce` returns for a
         :class:`kc2spice.AffineModel`.
     name : str
@@ -133,13 +133,13 @@ def parametric_subcircuit(
     >>> kc.parametric_subcircuit(reduced, "spring").text.splitlines()[1]
     '* use: X1 tip base spring stiffness=50'
     """
-    if not isinstance(model, Varying | HeatOverRanges):
+    if not isinstance(model, ResonatorsOverRanges | HeatOverRanges):
         raise UsageError(
             "this object is not a reduced model over ranges of parameters",
             where="model",
             got=f"{type(model).__name__} {model!r}"[:120],
-            expected="a kc2spice.rom.varying.Varying, such as kc.reduce returns for a "
-            "kc.AffineModel",
+            expected="a kc2spice.rom.resonators_over_ranges.ResonatorsOverRanges, such as "
+            "kc.reduce returns for a kc.AffineModel",
         )
     if parameters is None:
         parameters = list_parameters(model)
@@ -206,7 +206,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     require_distinct(parameters, RESERVED_BY_HEAT if heat else _RESERVED_NAME, where=name)
 
 
-def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
+def _parameter_lines(model: ResonatorsOverRanges, parameters: Sequence[Param]) -> Iterator[Line]:
     """Yield the ``.param`` cards: coordinates, polynomials, numbers of the states."""
     axis_parameters = parameters[: len(model.axes)]
     yield from range_cards(parameters)
@@ -227,7 +227,9 @@ def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Li
     yield from _capacitance_cards(model, polynomial)
 
 
-def _coordinate_cards(model: Varying, parameters: Sequence[Param]) -> Iterator[Parameters]:
+def _coordinate_cards(
+    model: ResonatorsOverRanges, parameters: Sequence[Param]
+) -> Iterator[Parameters]:
     """Yield the coordinates x1, x2, ... and Chebyshev polynomials of each."""
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
@@ -259,7 +261,7 @@ def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
 
 
 def _damping_cards(
-    model: Varying, loss_parameters: Sequence[Param], polynomial: Polynomial
+    model: ResonatorsOverRanges, loss_parameters: Sequence[Param], polynomial: Polynomial
 ) -> Iterator[Parameters]:
     """Yield Rayleigh's coefficients with the factors of parameters that are losses."""
     losses = ["", ""]
@@ -274,7 +276,9 @@ def _damping_cards(
             yield parameter_card(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
 
 
-def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterator[Parameters]:
+def _block_cards(
+    model: ResonatorsOverRanges, modes: range, polynomial: Polynomial
+) -> Iterator[Parameters]:
     """Yield the Cholesky factor l, the stiffness k and the gains g of a block."""
     lower, stiff = _nonzero_entries(model)
     for i in modes:
@@ -292,7 +296,7 @@ def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterat
             yield parameter_card(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
 
 
-def _capacitance_cards(model: Varying, polynomial: Polynomial) -> Iterator[Parameters]:
+def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> Iterator[Parameters]:
     """Yield the Cholesky factor f of the capacitances, then the capacitances c."""
     electrodes = range(len(model.electrical))
     for k in electrodes:
@@ -310,7 +314,7 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
-def _nonzero_entries(model: Varying) -> tuple[np.ndarray, np.ndarray]:
+def _nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
     """Return masks (q, q) of the nonzero entries of L and of the stiffness ``L L'``."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
@@ -327,7 +331,7 @@ class _PortsAndModes:
 
     def __init__(
         self,
-        model: Varying,
+        model: ResonatorsOverRanges,
         rom: LinearModel,
         terminals: Sequence[PortTerminal],
         base: str,

@@ -347,9 +347,12 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     modal = None if dense else _decouple_modes(rom)
     if modal is not None:
         return modal
-    from kc2spice.rom.blocks import block_model  # imported here, because most models do not need it
+    # imported here, because most models do not need it
+    from kc2spice.rom.blocks import (
+        make_block_model,
+    )
 
-    return block_model(rom, dense=dense)
+    return make_block_model(rom, dense=dense)
 
 
 def _decouple_modes(rom: LinearModel) -> Resonators | None:

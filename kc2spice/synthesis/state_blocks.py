@@ -51,9 +51,9 @@ def write_blocks(
 ) -> tuple[list[str], list[Line]]:
     """Return comments and cards of blocks of states.
 
-    The states of the blocks of :func:`kc2spice.rom.blocks.block_model` are voltages on capacitors
-    ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A block is
-    scaled to about 1 V for a constant input of 1 V.
+    The states of the blocks of :func:`kc2spice.rom.blocks.make_block_model` are voltages on
+    capacitors ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A
+    block is scaled to about 1 V for a constant input of 1 V.
     """
     from scipy.linalg import block_diag  # imported here, because most models do not need it
 

@@ -24,12 +24,12 @@ from kc2spice.parts.bodies._box import VariedKey
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import clamped_tangent, permittivity
+from kc2spice.rom.modal import compute_clamped_tangent, permittivity
 from kc2spice.rom.parametric import (
+    DenseParametricModel,
     ParameterAxis,
-    Parametric,
-    modal_projection,
-    modal_transfer,
+    compute_modal_transfer,
+    project_on_modes,
     reduce_over_parameters,
 )
 from kc2spice.rom.pencil import Pencil
@@ -141,7 +141,7 @@ class BodyFit:
     def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of the full model."""
         model = self.full(values, moved=False)
-        pencil = modal_projection(model, float(self.data.f[-1]))
+        pencil = project_on_modes(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
             return self.complex_constants_response(pencil, values)
         charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
@@ -190,7 +190,7 @@ class BodyFit:
         at = self.damping.frequency(self.modes(pencil)[2])
         assert at is not None
         damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
-        charge = modal_transfer(damped, self.frequencies)[:, 0, 0]
+        charge = compute_modal_transfer(damped, self.frequencies)[:, 0, 0]
         return self.lossy_admittance(charge, float(model.D[0, 0]), values)
 
     def loss_factor(self, values: Mapping[str, float]) -> float:
@@ -216,7 +216,7 @@ class BodyFit:
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
         tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
         if tangent:
-            loss = permittivity(f, clamped_tangent(tangent, free / clamped - 1)) - 1
+            loss = permittivity(f, compute_clamped_tangent(tangent, free / clamped - 1)) - 1
             charge = charge + clamped * loss
         return np.asarray(2j * np.pi * f * charge)
 
@@ -238,11 +238,11 @@ class BodyFit:
             alpha, beta = model.rayleigh
             for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
-                charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
+                charge = compute_modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.lossy_admittance(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
         if not self.damping.per_material:
-            pencil = modal_projection(model, float(self.data.f[-1]))
+            pencil = project_on_modes(model, float(self.data.f[-1]))
             if self.damping.model == "rayleigh":
                 result[CONSTANT_Q_CAUSE] = np.log(
                     self.complex_constants_response(pencil, values) / Y
@@ -258,7 +258,7 @@ class BodyFit:
         }
         return {name: column / self.noise for name, column in result.items()}
 
-    def response(self, reduced: Parametric, values: Mapping[str, float]) -> np.ndarray:
+    def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of a reduced model."""
         model = reduced.at(values)
         if self.damping.model == "ieee176":
@@ -266,7 +266,9 @@ class BodyFit:
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
         return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
 
-    def reduce(self, parameter_axes: ParameterAxes, degree: int | None = None) -> Parametric:
+    def reduce(
+        self, parameter_axes: ParameterAxes, degree: int | None = None
+    ) -> DenseParametricModel:
         """Return the reduced model over a parameter range."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":

@@ -64,9 +64,9 @@ def fit(
 
     The fit minimises the squares of the real and imaginary parts of ``log(Y_model / Y)``, divided
     by the noise of the data. The unknowns are the logarithms of the values, limited to their
-    ranges. A :class:`Parametric` model of all ranges is used in four descents, from the scene's
-    values and from the best of 64 random samples. Models of narrower ranges around the best values
-    follow until the fit agrees with the full model. Standard errors are computed from the
+    ranges. A :class:`DenseParametricModel` model of all ranges is used in four descents, from the
+    scene's values and from the best of 64 random samples. Models of narrower ranges around the best
+    values follow until the fit agrees with the full model. Standard errors are computed from the
     linearised problem. If the misfit exceeds the noise, they are scaled by the misfit. If the model
     does not describe the data, they include the scatter over bands of frequency
     (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a warning names

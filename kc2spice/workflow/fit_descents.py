@@ -13,7 +13,7 @@ from scipy.stats import qmc
 
 from kc2spice.core.errors import UsageError
 from kc2spice.parts.bodies._box import VariedKey, values_of_part
-from kc2spice.rom.parametric import ParameterAxis, Parametric
+from kc2spice.rom.parametric import DenseParametricModel, ParameterAxis
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
@@ -61,7 +61,7 @@ class Descent:
     degree: int | None = None
 
     @cached_property
-    def reduced(self) -> Parametric:
+    def reduced(self) -> DenseParametricModel:
         """Reduced model of the parameter ranges."""
         return self.body.reduce(self.parameter_axes, self.degree)
 

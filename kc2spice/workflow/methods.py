@@ -14,7 +14,7 @@ from kc2spice.linalg.solver import require_solver
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import DEFAULT_MIN_TOLERANCE, Reduction
-from kc2spice.rom.reductors.registry import reductor_names, require_method_name
+from kc2spice.rom.reductors.registry import list_reductor_names, require_method_name
 from kc2spice.workflow.reduce_files import DEFAULT_TOLERANCE, load_full_model
 
 
@@ -79,7 +79,7 @@ def compare_methods(
     with warnings.catch_warnings():
         # Each model has an error estimate, so warnings of the single reductions are suppressed.
         warnings.simplefilter("ignore")
-        for method in reductor_names():
+        for method in list_reductor_names():
             progress("reduce", None, method)
             rows.append(_run_method(reduction, method, tolerance, order))
     rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))

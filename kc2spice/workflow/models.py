@@ -14,7 +14,7 @@ from kc2spice.equations.scene_laws import store_laws
 from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import mode_table
+from kc2spice.rom.modal import tabulate_modes
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
@@ -155,7 +155,7 @@ def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
     """Return ``modes`` of ``result.json``: the modes of each body within its band."""
     result = {}
     for name, model in build.models_of(LinearModel).items():
-        if table := mode_table(model):
+        if table := tabulate_modes(model):
             result[name] = table
     return result
 

@@ -40,17 +40,21 @@ from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import full_model_without_scene, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
-from kc2spice.rom.band import MAX_DENSE_EQUATIONS, natural_band
+from kc2spice.rom.band import MAX_DENSE_EQUATIONS, choose_natural_band
 from kc2spice.rom.branch_fit import fit_one_port
-from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.heat_network import NetworkForm, require_form
 from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.io import read_rom, require_rom_file, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
+from kc2spice.rom.parametric_model_files import (
+    is_parametric_model,
+    read_parametric_model,
+    write_parametric_model,
+)
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import MAX_POLE_STATES, prove_stability
-from kc2spice.rom.varying_io import is_varying, read_varying, write_varying
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
@@ -283,7 +287,7 @@ def _reduce_affine(
         at_defaults = reduced.at(reduced.defaults)
         part = parametric_subcircuit(reduced, make_identifier(name, "rom"))
         require_circuit(part, at_defaults, settings["tolerance"])
-        files = write_varying(reduced, work, name)
+        files = write_parametric_model(reduced, work, name)
     parameters = {item.name: asdict(item) for item in model.parameters}
     facts = _describe_reduced(model.name, model.model.order, at_defaults, part)
     return facts | {
@@ -336,8 +340,8 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
     if states > MAX_POLE_STATES:
         got = explain_instability(model.pencil, band or model.band)
     else:
-        pencil = reduced_form(model.pencil)
-        band = band or model.band or natural_band(pencil)
+        pencil = eliminate_algebraic_unknowns(model.pencil)
+        band = band or model.band or choose_natural_band(pencil)
         if (
             pencil.degree * pencil.size <= MAX_POLE_STATES
             and prove_stability(pencil, band).stable is False
@@ -642,7 +646,7 @@ def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
     require_rom_file(path)
     name = make_identifier(path.stem, "rom")
     header = Header(path.stem, hashlib.sha256(path.read_bytes()).hexdigest()[:16])
-    if not is_varying(path):
+    if not is_parametric_model(path):
         reduced = read_rom(path)
         return reduced, subcircuit(reduced, name, header, dense=dense)
     if dense:
@@ -653,7 +657,7 @@ def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
             expected="a model without parameters",
             hint="leave out --dense",
         )
-    varying = read_varying(path)
+    varying = read_parametric_model(path)
     defaults = {item.name: item.default for item in list_parameters(varying)}
     return varying.at(defaults), parametric_subcircuit(varying, name, None, header)
 

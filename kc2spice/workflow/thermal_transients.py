@@ -16,7 +16,12 @@ from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.quantities import quantity
 from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, shape_network
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
-from kc2spice.rom.transient_fit import StepSamples, TransientFit, fit_transient, unsettled_share
+from kc2spice.rom.transient_fit import (
+    StepSamples,
+    TransientFit,
+    compute_unsettled_share,
+    fit_transient,
+)
 from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
@@ -112,7 +117,7 @@ def network_of_transient(
             f"the deviation of {rms:.2g} (rms) exceeds the noise of {noise:.2g}: the power may "
             "not be constant, or the heat enters elsewhere"
         )
-    share = unsettled_share(fit.network, float(samples.time.max()))
+    share = compute_unsettled_share(fit.network, float(samples.time.max()))
     if share > WARNED_UNSETTLED:
         warnings.append(
             f"{share:.2g} of the resistance belongs to time constants above a third of the last "

@@ -11,8 +11,8 @@ from support import (
     Resonators,
     UsageError,
     build_models,
-    complex_constants_model,
     ignore_progress,
+    make_complex_constants_model,
 )
 
 import kc2spice as kc
@@ -68,7 +68,7 @@ def modes(band):
 def test_a_bar_is_that_of_complex_constants(quality, tangent, band):
     model = modes(band)
     at = float(model.omega[0] / (2 * np.pi))
-    result = complex_constants_model(model, ComplexConstants(1 / quality, tangent, at))
+    result = make_complex_constants_model(model, ComplexConstants(1 / quality, tangent, at))
     resonances = model.omega[model.omega < 2 * np.pi * band[1]] / (2 * np.pi)
     f = np.sort(np.r_[np.geomspace(max(band[0], 100.0), band[1], 60), resonances])
     exact, H = direct(f, quality, tangent, at), result.transfer(f)
@@ -79,7 +79,7 @@ def test_a_bar_is_that_of_complex_constants(quality, tangent, band):
 
 
 def test_a_body_of_complex_constants_gives_no_power():
-    result = complex_constants_model(modes((0.0, 250e3)), ComplexConstants(1 / 30, 0.02, 40e3))
+    result = make_complex_constants_model(modes((0.0, 250e3)), ComplexConstants(1 / 30, 0.02, 40e3))
     H = result.transfer(np.geomspace(1e-2, 1e9, 100))
     loss = (np.conj(np.swapaxes(H, 1, 2)) - H) / 2j
     size = np.sqrt(np.abs(np.einsum("nii->ni", H)))
@@ -90,7 +90,7 @@ def test_a_body_of_complex_constants_gives_no_power():
 
 def test_losses_that_leave_no_capacitance_are_refused():
     with pytest.raises(UsageError, match="losses are too large"):
-        complex_constants_model(modes((0.0, 250e3)), ComplexConstants(0.9, 0.9, 40e3))
+        make_complex_constants_model(modes((0.0, 250e3)), ComplexConstants(0.9, 0.9, 40e3))
 
 
 DISC = {

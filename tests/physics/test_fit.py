@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import jv
-from support import MeasuredAdmittance, app, modal_transfer
+from support import MeasuredAdmittance, app, compute_modal_transfer
 
 import kc2spice as kc
 
@@ -40,7 +40,7 @@ def measured(scene, part, true, band, noise, seed, points=150):
     changed = kc.load_scene(scene, {f"{part}.{key}": value for key, value in true.items()})
     model = kc.build(changed)[part].select(["anode"])
     f = np.linspace(*band, points)
-    H = model.transfer(f) if model.order < 3000 else modal_transfer(model, f)
+    H = model.transfer(f) if model.order < 3000 else compute_modal_transfer(model, f)
     draw = np.random.default_rng(seed).normal(size=(2, points))
     Y = 2j * np.pi * f * H[:, 0, 0] * (1 + noise * (draw[0] + 1j * draw[1]))
     return MeasuredAdmittance("part", "part.csv", f, Y[:, None, None])

@@ -234,7 +234,7 @@ def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
     def told(task):
         raise UsageError(f"norm {task.norm}")
 
-    monkeypatch.setattr("kc2spice.rom.varying.reduce_over_ranges", told)
+    monkeypatch.setattr("kc2spice.rom.resonators_over_ranges.reduce_over_ranges", told)
     disc = {**BUZZER["disc"], "rom": {**BUZZER["disc"]["rom"], "norm": "peak"}}
     with pytest.raises(UsageError, match="norm peak"):
         kc.deck(kc.load_scene({**BUZZER, "disc": disc}))

@@ -4,7 +4,7 @@ import numpy as np
 import oracle
 import pytest
 from scipy.linalg import block_diag
-from support import LinearModel, UsageError, block_model, decouple_states
+from support import LinearModel, UsageError, decouple_states, make_block_model
 
 N = 6
 RNG = np.random.default_rng(5)
@@ -83,7 +83,7 @@ def test_blocks_stay_small_while_the_response_keeps_its_digits():
     model = LinearModel(A=Q @ A @ Q.T, B=rng.standard_normal((n, 2)), C=rng.standard_normal((2, n)))
     assert np.linalg.cond(np.linalg.eig(A)[1]) > 1e5
     assert len(decouple_states(model.A)[0]) == 1
-    found = block_model(model)
+    found = make_block_model(model)
     assert max(map(len, found.blocks)) == 1
     s = 1j * np.geomspace(0.1, 100, 30)[:, None, None]
     given, small = (
@@ -95,5 +95,5 @@ def test_blocks_stay_small_while_the_response_keeps_its_digits():
     )
     assert np.abs(small - given).max() < 1e-9 * np.abs(given).max()
     defective = np.diag(-np.ones(4)) + np.eye(4, k=1)
-    kept = block_model(LinearModel(A=defective, B=np.ones((4, 1)), C=np.ones((1, 4))))
+    kept = make_block_model(LinearModel(A=defective, B=np.ones((4, 1)), C=np.ones((1, 4))))
     assert [len(block) for block in kept.blocks] == [4]

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy
-from support import UsageError, export_rom, read_varying, reduce_file
+from support import UsageError, export_rom, read_parametric_model, reduce_file
 
 import kc2spice as kc
 
@@ -69,7 +69,7 @@ def write_fin(folder):
 
 def test_files_of_heat_with_parameters_become_a_netlist(tmp_path):
     result = reduce_file(write_fin(tmp_path), tolerance=1e-4, out=tmp_path / "red")
-    again = read_varying(result["rom"])
+    again = read_parametric_model(result["rom"])
     E, K, B = fin(0.5)
     frequency = np.array([0.01, 1.0])
     exact = [(B.T @ np.linalg.solve(K + 2j * np.pi * f * E, B))[0, 0] for f in frequency]
@@ -94,7 +94,7 @@ def test_a_damaged_file_of_heat_is_refused(tmp_path):
     arrays["powers"] = arrays["powers"] + 5
     np.savez(result["rom"], **arrays)
     with pytest.raises(UsageError, match="damaged"):
-        read_varying(result["rom"])
+        read_parametric_model(result["rom"])
 
 
 def test_terms_that_heat_models_cannot_have_are_refused():

@@ -15,7 +15,7 @@ from support import (
     Param,
     ParameterAxis,
     Port,
-    Varying,
+    ResonatorsOverRanges,
     app,
     estimate_circuit_error,
     parameter_ranges,
@@ -128,7 +128,7 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
     """A frequency that grows with a parameter's power, in the netlist 1e-6 of it too strongly."""
     axis = ParameterAxis("length", 0.5, 2.0)
     exponents = np.array([[0], [1]])
-    model = Varying(
+    model = ResonatorsOverRanges(
         axes=(axis,), losses=(), ports=PORTS[1:], exponents=exponents, blocks=(1,),
         diagonal=np.array([[np.log(W)], [0.2]]), below=np.zeros((2, 1, 1)),
         gain=np.array([[[FORCE]], [[0.0]]]), capacitance=np.zeros((2, 0)),

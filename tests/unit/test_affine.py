@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.io
 from scipy import sparse
-from support import UsageError, dialect_names, export_rom, read_varying, reduce_file
+from support import UsageError, dialect_names, export_rom, read_parametric_model, reduce_file
 
 import kc2spice as kc
 
@@ -274,7 +274,7 @@ def test_the_command_writes_a_model_that_comes_back(written):
     assert written["files"] == ["beam_rom.npz", "beam_rom.json"]
     assert written["error_estimate"] < 1e-3
     assert written["parameters"]["tip_mass"]["unit"] == "kg"
-    varying = read_varying(written["rom"])
+    varying = read_parametric_model(written["rom"])
     assert varying.certificate.band_hz == (0.0, 5.0)
     frequency = np.array([0.1, 2.0])
     values = {"thickness": 0.83, "tip_mass": 0.37}

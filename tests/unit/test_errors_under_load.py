@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 from scipy.signal import lsim
-from support import LinearModel, Orders, Port, last_change, response, time_errors
+from support import (
+    LinearModel,
+    Port,
+    ReductionsByOrder,
+    compute_time_errors,
+    find_last_change,
+    response,
+)
 
 PUSH = (Port("tip", "mechanical"),)
 EVERY = [np.ones(1, bool)]
@@ -45,7 +52,7 @@ def test_a_shifted_resonance_counts_as_far_as_loads_excite_it(periods, expected)
     """A resonance 0.1 % too high: nothing after a pulse of a period, all beats after 300."""
     exact, shifted = oscillator(1e3), oscillator(1.001e3)
     t = np.linspace(0, periods * 1e-3, 40 * periods + 1)
-    errors = time_errors(shifted, exact, t, np.sin(2e3 * np.pi * t)[:, None], EVERY)
+    errors = compute_time_errors(shifted, exact, t, np.sin(2e3 * np.pi * t)[:, None], EVERY)
     # amplitudes grow alike, phases part by pi 1e-3 a period
     if expected:
         assert 0.3 < errors["tip"] < expected
@@ -64,18 +71,18 @@ def test_models_without_the_motions_that_a_load_excites_are_off():
     )
     t = np.linspace(0, 5e-3, 2001)
     constant = np.ones((t.size, 1))
-    assert time_errors(small, full, t, constant, EVERY)["tip"] < 1e-3
+    assert compute_time_errors(small, full, t, constant, EVERY)["tip"] < 1e-3
     pulse = np.interp(t, [1e-3, 1.05e-3, 1.1e-3], [0.0, 1.0, 0.0])[:, None]
-    assert time_errors(small, full, t, pulse, EVERY)["tip"] > 0.5
+    assert compute_time_errors(small, full, t, pulse, EVERY)["tip"] > 0.5
 
 
 def test_a_richer_model_is_made_of_the_full_one():
     full = chain(500, ratio=0.01)
-    rich = Orders(full).enriched(10, (0.0, 1e3))
+    rich = ReductionsByOrder(full).enriched(10, (0.0, 1e3))
     assert rich.order == 70
     f = np.linspace(0, 1e3, 50)
     np.testing.assert_allclose(rich.transfer(f), full.transfer(f), rtol=1e-6)
-    assert Orders(chain(40)).enriched(10, (0.0, 1e3)).order == 40
+    assert ReductionsByOrder(chain(40)).enriched(10, (0.0, 1e3)).order == 40
 
 
 def test_loads_that_cancel_count_by_themselves():
@@ -96,10 +103,10 @@ def test_loads_that_cancel_count_by_themselves():
     gain = 1e-7 + 4 / (2e3 * np.pi) ** 2
     load = np.c_[force, -charge / gain]
     groups = [np.array([True, False]), np.array([False, True])]
-    assert time_errors(body(1e-4), exact, t, load, groups)["anode"] < 5e-3
+    assert compute_time_errors(body(1e-4), exact, t, load, groups)["anode"] < 5e-3
 
 
 def test_waves_are_compared_until_the_last_change():
     load = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 1.0 + 1e-12], [1.0, 1.0]])
-    assert last_change(load) == 1
-    assert last_change(np.ones((3, 2))) == 0
+    assert find_last_change(load) == 1
+    assert find_last_change(np.ones((3, 2))) == 0

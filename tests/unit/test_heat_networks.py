@@ -5,7 +5,14 @@ import re
 import numpy as np
 import pytest
 from commands import run_command
-from support import FosterNetwork, HeatLadder, NodalCircuit, heat_ladder, literal_value, read_rom
+from support import (
+    FosterNetwork,
+    HeatLadder,
+    NodalCircuit,
+    find_heat_ladder,
+    literal_value,
+    read_rom,
+)
 
 import kc2spice as kc
 
@@ -67,10 +74,10 @@ def test_equal_time_constants_are_one_mode():
 def test_only_ladder_matrices_are_recognised_as_a_ladder():
     network = random_network(4, 5)
     ladder = network.ladder()
-    found = heat_ladder(ladder.linear(PORT))
+    found = find_heat_ladder(ladder.linear(PORT))
     np.testing.assert_allclose(found.resistance, ladder.resistance, rtol=1e-14)
     np.testing.assert_allclose(found.capacity, ladder.capacity, rtol=1e-9)
-    assert heat_ladder(network.linear(PORT)) is None
+    assert find_heat_ladder(network.linear(PORT)) is None
 
 
 @pytest.mark.parametrize("direct", [0.0, 0.25])
@@ -109,10 +116,10 @@ def test_reduce_writes_a_model_of_matrices_as_a_ladder(tmp_path):
     plain = run_command(*words, "--out", tmp_path / "plain")
     shaped = run_command(*words, "--network", "cauer", "--out", tmp_path / "shaped")
     first, second = read_rom(plain["rom"]), read_rom(shaped["rom"])
-    assert heat_ladder(second) is not None
+    assert find_heat_ladder(second) is not None
     f = np.geomspace(1e-3, 10, 20)
     np.testing.assert_allclose(second.transfer(f), first.transfer(f), rtol=1e-8)
-    assert heat_ladder(second).resistance.sum() == pytest.approx(60 / 30.0, rel=1e-9)
+    assert find_heat_ladder(second).resistance.sum() == pytest.approx(60 / 30.0, rel=1e-9)
 
 
 def test_a_ladder_has_one_port(cli, tmp_path):

@@ -10,9 +10,9 @@ from support import (
     LinearModel,
     Port,
     Resonators,
-    chip_response,
     make_highest_modes_massless,
-    mode_table,
+    simulate_chip,
+    tabulate_modes,
 )
 
 RNG = np.random.default_rng(12)
@@ -43,7 +43,7 @@ def test_modes_respond_to_piecewise_linear_loads(name):
         damp = 2 * RATIOS[name] * omega
         model = Resonators(np.array([omega]), np.array([damp]), np.array([[3.0]]),
                            np.array([[2.0]]), (TIP,), None)  # fmt: skip
-        output, energy = chip_response(model, t, load[:, None])
+        output, energy = simulate_chip(model, t, load[:, None])
         system = StateSpace([[0, 1], [-(omega**2), -damp]], [[0], [3]], [[1, 0]], [[0]])
         _, _, states = lsim(system, load, t, X0=[3 * load[0] / omega**2, 0])
         size = abs(states[:, 0]).max()
@@ -91,7 +91,7 @@ def chain(n, ends, damping):
 def test_the_table_of_a_free_body_has_its_modes_and_not_its_flight():
     """A free chain: ``w = 2 sqrt(k/m) sin(j pi / 2n)``, shapes ``cos((2i - 1) j pi / 2n)``."""
     n = 7
-    found = mode_table(chain(n, 1e6, lambda K: 1e-7 * K))["modes"]
+    found = tabulate_modes(chain(n, 1e6, lambda K: 1e-7 * K))["modes"]
     j = np.arange(1, n)
     omega = 2 * np.sqrt(1e9) * np.sin(j * np.pi / 2 / n)
     assert [m["frequency_hz"] for m in found] == pytest.approx(omega / 2 / np.pi, rel=1e-6)
@@ -108,7 +108,7 @@ def test_the_table_of_modes_that_damping_couples():
     def damping(K):
         return np.diag([added, 0, 0, 0, 0])
 
-    found = mode_table(chain(n, 2e6, damping))["modes"]
+    found = tabulate_modes(chain(n, 2e6, damping))["modes"]
     j = np.arange(1, n + 1)
     omega = 2 * np.sqrt(1e9) * np.sin(j * np.pi / 2 / (n + 1))
     gain2 = 2 / (n + 1) * np.sin(j * np.pi / (n + 1)) ** 2 / 1e-3

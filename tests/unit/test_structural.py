@@ -10,10 +10,10 @@ from support import (
     Port,
     UsageError,
     assemble_oscillators,
+    fit_relaxing_oscillator,
+    make_viscous_oscillator,
     reduce_model,
-    relaxing_oscillator,
     subcircuit,
-    viscous_oscillator,
 )
 
 
@@ -148,7 +148,7 @@ def test_an_oscillator_with_one_relaxation_is_exact_in_value_and_slope():
     k, eta = 4e4, 0.01
     s = 1j * np.sqrt(k) * np.unique(np.r_[np.linspace(0.01, 2, 200), np.linspace(0.9, 1.1, 201)])
     wanted = k * (1 + 1j * eta) + s**2
-    mode = relaxing_oscillator(s, wanted, 1 / np.abs(wanted) ** 2, np.sqrt([k]))
+    mode = fit_relaxing_oscillator(s, wanted, 1 / np.abs(wanted) ** 2, np.sqrt([k]))
     assert mode.spring == pytest.approx(k * (1 - eta / 2), rel=1e-3)
     assert mode.mass == pytest.approx(1 + eta / 2, rel=1e-3)
     assert mode.amplitudes == pytest.approx([2 * eta * k], rel=0.05)
@@ -157,7 +157,7 @@ def test_an_oscillator_with_one_relaxation_is_exact_in_value_and_slope():
     condensed = [1 / np.linalg.inv(K + x * E + x**2 * M)[0, 0] for x in at]
     assert mode(at) == pytest.approx(np.array(condensed), rel=1e-9)
     assert np.abs(1 / mode(s) - 1 / wanted).max() * eta * k < 1.5 * eta**2
-    viscous = viscous_oscillator(k, eta * k)
+    viscous = make_viscous_oscillator(k, eta * k)
     assert np.abs(1 / viscous(s) - 1 / wanted).max() * eta * k > 0.2 * eta
 
 

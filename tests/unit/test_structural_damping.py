@@ -7,8 +7,8 @@ from support import (
     Port,
     UsageError,
     add_structural_damping,
-    constant_loss,
-    relaxing_stiffness,
+    causal_loss_factor,
+    fit_relaxing_stiffness,
 )
 
 
@@ -16,19 +16,21 @@ from support import (
 @pytest.mark.parametrize("band", [(0.0, 200e3), (50.0, 90.0), (1e3, 1e6)])
 def test_a_relaxing_stiffness_loses_the_same_share_at_all_frequencies(eta, band):
     at = 0.6 * band[1]
-    chi = relaxing_stiffness(eta, at, band, 0.02 * eta)
+    chi = fit_relaxing_stiffness(eta, at, band, 0.02 * eta)
     f = np.geomspace(max(band[0], band[1] / 1e4), band[1], 991)
     value = chi(2j * np.pi * f)
     assert value.imag / value.real == pytest.approx(np.full(f.size, eta), rel=0.05)
     # the relation of Kramers and Kronig: a constant loss makes stiffness a power of frequency
     power = (f / at) ** (2 * np.arctan(eta) / np.pi)
     assert np.abs(value) == pytest.approx(np.hypot(1, eta) * power, rel=0.02 * eta)
-    assert np.abs(value / constant_loss(f, eta, at) - 1).max() <= 1.01 * chi.error <= 0.03 * eta
-    assert constant_loss(at, eta, at) == pytest.approx(1 + 1j * eta, rel=1e-12)
+    assert (
+        np.abs(value / causal_loss_factor(f, eta, at) - 1).max() <= 1.01 * chi.error <= 0.03 * eta
+    )
+    assert causal_loss_factor(at, eta, at) == pytest.approx(1 + 1j * eta, rel=1e-12)
 
 
 def test_a_relaxing_stiffness_is_passive_at_all_frequencies():
-    chi = relaxing_stiffness(0.05, 1e3, (100.0, 1e4), 1e-4)
+    chi = fit_relaxing_stiffness(0.05, 1e3, (100.0, 1e4), 1e-4)
     wide = 2j * np.pi * np.geomspace(1e-3, 1e9, 700)
     assert (chi(wide).imag >= 0).all()
     assert chi.constant >= 0
@@ -37,14 +39,14 @@ def test_a_relaxing_stiffness_is_passive_at_all_frequencies():
 
 
 def test_a_stiffness_without_loss_is_constant():
-    chi = relaxing_stiffness(0.0, 1e3, (0.0, 1e4), 1e-3)
+    chi = fit_relaxing_stiffness(0.0, 1e3, (0.0, 1e4), 1e-3)
     assert chi(2j * np.pi * np.array([1.0, 1e3])) == pytest.approx([1, 1])
 
 
 def test_a_narrow_band_comes_nearer_to_a_loss_that_is_not_causal():
     off = []
     for width in (1.2, 2.0, 4.0):
-        chi = relaxing_stiffness(0.02, 1e3, (1e3 / width, 1e3 * width), 1e-9, noncausal=True)
+        chi = fit_relaxing_stiffness(0.02, 1e3, (1e3 / width, 1e3 * width), 1e-9, noncausal=True)
         f = np.geomspace(1e3 / width, 1e3 * width, 300)
         off.append(np.abs(chi(2j * np.pi * f) - (1 + 0.02j)).max())
         assert off[-1] == pytest.approx(chi.error, rel=0.02)
@@ -60,12 +62,12 @@ def test_a_structurally_damped_chain_is_k_times_one_plus_j_eta():
     ports = (Port("left", "mechanical"), Port("right", "mechanical"))
     model = LinearModel(M=M, K=K, B=B, ports=ports)
     modes = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real) / (2 * np.pi)
-    chi = relaxing_stiffness(eta, modes.min(), (modes.min() / 3, 2 * modes.max()), 2e-3 * eta)
+    chi = fit_relaxing_stiffness(eta, modes.min(), (modes.min() / 3, 2 * modes.max()), 2e-3 * eta)
     damped = add_structural_damping(model, chi)
     assert damped.symmetric
     f = np.sort(np.r_[np.geomspace(modes.min() / 3, 2 * modes.max(), 60), modes])
     for at, H in zip(f, damped.transfer(f), strict=True):
-        complex_stiffness = K * constant_loss(at, eta, modes.min())
+        complex_stiffness = K * causal_loss_factor(at, eta, modes.min())
         exact = B.T @ np.linalg.solve(complex_stiffness - (2 * np.pi * at) ** 2 * M, B)
         assert np.abs(H / exact - 1).max() < 0.02
     poles = damped.poles()
@@ -77,7 +79,7 @@ def test_a_structurally_damped_chain_is_k_times_one_plus_j_eta():
 def test_values_that_are_no_loss_are_refused():
     for arguments in ((-0.1, 1e3, (0, 1e4)), (0.1, 0.0, (0, 1e4)), (0.1, 1e3, (1e4, 1e3))):
         with pytest.raises(UsageError, match="the loss factor, its frequency"):
-            relaxing_stiffness(*arguments, 1e-3)
+            fit_relaxing_stiffness(*arguments, 1e-3)
     first = LinearModel(A=-np.eye(2), B=np.ones((2, 1)))
     with pytest.raises(UsageError, match="does not apply to this model"):
-        add_structural_damping(first, relaxing_stiffness(0.1, 1e3, (0, 1e4), 1e-2))
+        add_structural_damping(first, fit_relaxing_stiffness(0.1, 1e3, (0, 1e4), 1e-2))

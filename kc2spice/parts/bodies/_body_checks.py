@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._body_ports import (
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import chip_response, resonators
+from kc2spice.rom.modal import resonators, simulate_chip
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build, Part
@@ -195,10 +195,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if certificate is None or not set(model.inputs) <= loads.keys():
             return None
         band = certificate.band_hz
-        from kc2spice.rom.enriched import last_change, time_errors
+        from kc2spice.rom.enriched import compute_time_errors, find_last_change
 
         t, load = waves["time"], np.column_stack([*map(loads.__getitem__, model.inputs)])
-        count = last_change(load) + 1
+        count = find_last_change(load) + 1
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def build_larger_model() -> LinearModel | None:
@@ -220,7 +220,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         for k, port in enumerate(driven):
             domain = port.domain if port.charged else None
             groups.setdefault(domain, np.zeros(len(driven), dtype=bool))[k] = True
-        errors = time_errors(model, rich, t[:count], load[:count], [*groups.values()])
+        errors = compute_time_errors(model, rich, t[:count], load[:count], [*groups.values()])
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
     def _check_band(
@@ -292,7 +292,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if len(loads) < len(model.ports):
             return None
         inputs = np.column_stack([*map(loads.__getitem__, names_of(model.ports))])
-        outputs, stored = chip_response(model, t, inputs)
+        outputs, stored = simulate_chip(model, t, inputs)
         entries: dict[str, float] = {}
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         gap, damped = np.zeros(t.size), stored[0] - stored

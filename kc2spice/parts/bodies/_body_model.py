@@ -37,13 +37,13 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.parametric import DampingParameter, ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask
-from kc2spice.rom.varying import Varying
+from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.scene.model import GovernedScene, Part, Scene
 from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
-    from kc2spice.rom.enriched import Orders
+    from kc2spice.rom.enriched import ReductionsByOrder
 
 # tolerance over parameter ranges for bodies that are otherwise reduced to a fixed order
 RANGE_TOLERANCE = 1e-4
@@ -73,7 +73,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     # Classes of the objects in a reduced model over parameter ranges; the cache stores these
     # objects.
-    range_classes: tuple[type, ...] = (Varying, DampingParameter)
+    range_classes: tuple[type, ...] = (ResonatorsOverRanges, DampingParameter)
     ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
     # Class of the material tables in the keys of the part.
     material_table: type[BaseModel] = MaterialTable
@@ -216,7 +216,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def reduce_ranges(self, part: Part[LinearKeysT], task: RangeTask) -> ModelOverRanges:
         """Reduce the models of the part over the ranges of a task."""
-        from kc2spice.rom.varying import reduce_over_ranges
+        from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 
         return reduce_over_ranges(task)
 
@@ -248,7 +248,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         def build() -> LinearModel:
             """Return the model of the part."""
-            from kc2spice.rom.complex_constants import complex_constants_model
+            from kc2spice.rom.complex_constants import make_complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
             from kc2spice.rom.soft_support import support_softly
@@ -283,7 +283,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
             if constants:
                 losses = losses_of(part, selected)
-                return replace(complex_constants_model(modal, losses), **labels)
+                return replace(make_complex_constants_model(modal, losses), **labels)
             if tangent:
                 modal = add_dielectric_loss(modal, tangent)
             return replace(modal.linear(), **labels)
@@ -308,7 +308,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def reduce_body(
         self,
         part: Part[LinearKeysT],
-        orders: Orders,
+        orders: ReductionsByOrder,
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
@@ -320,21 +320,21 @@ class BodyModel(BodyPorts[LinearKeysT]):
         # a contact, a switch or a table excites modes above the band
         return reduce_model(model, **aims, contact=True)
 
-    def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
+    def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ReductionsByOrder:
         """Return an object that reduces the full model with the scene's ports to prescribed orders.
 
         The object stays in the workspace, because the next scene often needs another order.
         """
-        from kc2spice.rom.enriched import Orders
+        from kc2spice.rom.enriched import ReductionsByOrder
 
         names = self.used_port_names(part, scene)
         key = json.dumps(
             [part.name, self.full_key(part, scene), names], sort_keys=True, default=str
         )
 
-        def make() -> Orders:
+        def make() -> ReductionsByOrder:
             """Return the reductions of the full model."""
-            return Orders(self._full_model(part, scene, clock))
+            return ReductionsByOrder(self._full_model(part, scene, clock))
 
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 

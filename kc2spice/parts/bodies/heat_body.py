@@ -80,7 +80,7 @@ from kc2spice.parts.bodies._meshed import (
     metric_word,
 )
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
-from kc2spice.rom.enriched import Orders
+from kc2spice.rom.enriched import ReductionsByOrder
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import reduce_with_interfaces
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
@@ -358,7 +358,7 @@ dc = "1 W"
     def reduce_body(
         self,
         part: Part[HeatBodyKeys],
-        orders: Orders,
+        orders: ReductionsByOrder,
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:

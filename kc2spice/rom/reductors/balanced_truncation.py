@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from kc2spice.rom.pencil import Pencil, explicit_pencil
+from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
@@ -76,14 +76,14 @@ class BalancedTruncation(Reductor):
 
     def _balance(self, task: Task) -> ReducedBasis | None:
         """Return the balanced basis of a task, None without Gramians."""
-        rows, columns = balancing_factors(task.estimator.reference[1].peak)
+        rows, columns = compute_balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
         roots = _gramian_roots(task.first_order.pencil, rows, columns)
-        return None if roots is None else balanced_basis(task, task.first_order.pencil, *roots)
+        return None if roots is None else balance_model(task, task.first_order.pencil, *roots)
 
 
-def hankel_singular_values(task: Task) -> np.ndarray | None:
+def compute_hankel_singular_values(task: Task) -> np.ndarray | None:
     """Return the Hankel singular values of the intermediate model in descending order.
 
     The result is None if the model is not strictly stable or too large.
@@ -135,7 +135,7 @@ def explain_too_large(states: int, largest: int) -> str:
     return f"the intermediate model has {states} first-order states, more than {largest}"
 
 
-def balanced_basis(
+def balance_model(
     task: Task, model: Pencil, controllable: np.ndarray, observable: np.ndarray
 ) -> ReducedBasis | None:
     """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
@@ -153,7 +153,7 @@ def balanced_basis(
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])
     A = -model.coefficients[0]
     balanced = task.from_first_order(
-        explicit_pencil(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D)
+        make_explicit_pencil(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D)
     )
     vectors = scipy.linalg.block_diag(np.eye(balanced.free), V)
     return ReducedBasis(
@@ -161,7 +161,7 @@ def balanced_basis(
     )
 
 
-def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return factors of rows and columns whose products are closest to ``size``.
 
     The array ``size`` is (..., rows, columns). The logarithms of products and sizes are compared.

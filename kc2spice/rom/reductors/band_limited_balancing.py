@@ -7,8 +7,8 @@ import scipy
 
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import (
-    balanced_basis,
-    balancing_factors,
+    balance_model,
+    compute_balancing_factors,
     explain_no_gramians,
     explain_too_large,
 )
@@ -70,7 +70,7 @@ class BandLimitedBalancing(Reductor):
         s = 1j * frequency / task.band[1]
         controllable = _sum_square_root(response.states(s) * inputs[:, None, :])
         observable = _sum_square_root(response.dual.states(s) * outputs[:, None, :])
-        return balanced_basis(task, response.pencil, controllable, observable)
+        return balance_model(task, response.pencil, controllable, observable)
 
 
 def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +80,7 @@ def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.nd
     to ``base`` (frequencies, outputs, inputs).
     """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
-    rows, columns = balancing_factors(base)
+    rows, columns = compute_balancing_factors(base)
     return step[:, None] / columns, step[:, None] / rows
 
 

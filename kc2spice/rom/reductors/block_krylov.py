@@ -68,26 +68,26 @@ class BlockKrylov(Reductor):
         if not task.intermediate.proof:  # with a prescribed order, the subspace exists
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
-        V = krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
+        V = compute_krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
         return ReducedBasis(task, task.pencil.project(V), vectors=V, coordinates="full order")
 
 
-def krylov_space(pencil: Pencil) -> BlockArnoldi:
+def make_krylov_space(pencil: Pencil) -> BlockArnoldi:
     """Return the block Krylov subspace of a definite model at zero frequency."""
     K, _, M = pencil.coefficients
     solve = pencil.pencil_solver(0.0).solve
     return BlockArnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B)
 
 
-def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
+def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
     """Return at most ``count`` block Krylov vectors of a definite model.
 
     The expansion point of the Krylov subspace is zero frequency.
     """
-    return krylov_space(pencil).vectors(count)
+    return make_krylov_space(pencil).vectors(count)
 
 
-def nested_model(
+def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
     """Return the Krylov model with two blocks more than ``order``, for an error estimate.
@@ -95,12 +95,12 @@ def nested_model(
     ``space`` is the Krylov subspace of the model if it is known.
     """
     count = order + EXTRA_BLOCKS * pencil.B.shape[1]
-    V = (space or krylov_space(pencil)).vectors(count)
+    V = (space or make_krylov_space(pencil)).vectors(count)
     response = Response(pencil.project(V))
     return IntermediateModel(response, 0.0, True, "", basis=V, points=(0.0,))
 
 
-def block_arnoldi(
+def compute_block_krylov_basis(
     stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray, order: int
 ) -> np.ndarray:
     """Compute a basis V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.

@@ -14,7 +14,7 @@ from kc2spice.rom.reductors.balanced_truncation import (
     HANKEL_ROUNDING,
     MIN_DECAY,
     NOT_STABLE_TEXT,
-    balancing_factors,
+    compute_balancing_factors,
     explain_no_gramians,
 )
 from kc2spice.rom.reductors.base import Reductor
@@ -73,7 +73,7 @@ class CongruentBalancing(Reductor):
         static = np.empty((len(rates), 0))
         if any(port.loaded for port in task.fom.ports):
             static = scipy.linalg.orth(loads / rates[:, None])
-        _, columns = balancing_factors(task.estimator.reference[1].peak)
+        _, columns = compute_balancing_factors(task.estimator.reference[1].peak)
         scaled = loads / columns
         gramian = scaled @ scaled.T / (rates[:, None] + rates)
         others = np.eye(len(rates)) - static @ static.T

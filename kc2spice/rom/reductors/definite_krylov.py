@@ -18,13 +18,13 @@ from kc2spice.core.progress import ConvergenceTimer
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.free_body import FreeBody
-from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
+from kc2spice.rom.intermediate import IntermediateModel, make_no_convergence_error
 from kc2spice.rom.pencil import GrowingProjection, Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, OrthonormalBasis
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MAX_VECTORS
 from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
-from kc2spice.rom.rigid_body import hidden_support
-from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
+from kc2spice.rom.rigid_body import find_hidden_support
+from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness, find_zero_entries
 
 # Largest number of blocks at an expansion point. The Cholesky factor at zero takes a fraction of
 # the time and memory of the indefinite factor at a shift. Blocks at zero are therefore cheaper as
@@ -40,7 +40,7 @@ MIN_REDUCTION = 3.0
 MIN_POINT_DISTANCE = 1e-3  # smallest distance of two points, relative to the end of the band
 
 
-def definite_krylov_model(
+def reduce_definite_model(
     pencil: Pencil,
     band: tuple[float, float],
     target: float,
@@ -84,7 +84,7 @@ def definite_krylov_model(
             small, coordinates = body.separate_rigid_body_modes(projection.pencil, V)
             basis = V @ coordinates
         response = Response(small)
-        response.zero = zero_entries(pencil, basis, response, band)
+        response.zero = find_zero_entries(pencil, basis, response, band)
         # notches are last
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
@@ -102,10 +102,10 @@ def definite_krylov_model(
                 response, change, True, proof, basis=basis, points=tuple(used)
             )
             if small.free:
-                hidden = hidden_support(pencil, basis[:, : small.free], band[0])
-                floor = removed_stiffness(projection.pencil, small, band)
+                hidden = find_hidden_support(pencil, basis[:, : small.free], band[0])
+                floor = estimate_removed_stiffness(projection.pencil, small, band)
                 result = replace(result, floor=floor, hidden=hidden)
-            return with_rounding(pencil, basis, band, result, target)
+            return add_rounding_floor(pencil, basis, band, result, target)
         previous = response
         blocks -= 1
         if columns.shape[1] and (blocks >= 0 or change <= before / MIN_REDUCTION):
@@ -122,4 +122,4 @@ def definite_krylov_model(
         require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
         solve = pencil.pencil_solver((2 * np.pi * worst) ** 2).solve
         candidates = solve(pencil.B)
-    raise no_convergence_error(response, band, change, limit)
+    raise make_no_convergence_error(response, band, change, limit)

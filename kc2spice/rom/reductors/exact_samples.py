@@ -22,7 +22,7 @@ from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO, Response, grid, sample_band
-from kc2spice.rom.rounding import rounding_uncertainty, uncertainty_note
+from kc2spice.rom.rounding import describe_uncertainty, estimate_rounding_uncertainty
 
 # numbers of frequencies, found by trials
 FIRST_SAMPLES = 12  # number of samples before the error is first estimated
@@ -32,7 +32,7 @@ CANDIDATE_FREQUENCIES = 151  # number of candidate frequencies for the next samp
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
-def real_parts(x: np.ndarray) -> list[np.ndarray]:
+def split_real_parts(x: np.ndarray) -> list[np.ndarray]:
     """Return real vectors that span the same space as complex vectors."""
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
@@ -63,9 +63,9 @@ class ExactSamples:
         self.H = np.concatenate([self.H, (P.C @ x + P.D)[None]])
         image = s * (self._E @ x) - P.B
         size = np.linalg.norm(x, axis=0)
-        self._right = np.hstack([self._right, *real_parts(x / size)])
-        self._images = np.hstack([self._images, *real_parts(image / size)])
-        self._left = np.hstack([self._left, *real_parts(y / np.linalg.norm(y, axis=0))])
+        self._right = np.hstack([self._right, *split_real_parts(x / size)])
+        self._images = np.hstack([self._images, *split_real_parts(image / size)])
+        self._left = np.hstack([self._left, *split_real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
         """Return the oblique projection that best reproduces the samples.
@@ -95,7 +95,7 @@ class ExactSamples:
         return relative_size(difference, H, Entries.of(self.H))
 
 
-def sampled_model(
+def reduce_by_samples(
     full: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
     """Return an accurate reduced model of an ill-conditioned first-order model.
@@ -141,7 +141,9 @@ def sampled_model(
     response = Response(model)
     at, ratio = response.within(band)
     at = at * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO)) if at.size else np.array(band)
-    proof += "frequencies" + uncertainty_note(at, rounding_uncertainty(full, at), 2 * limit)
+    proof += "frequencies" + describe_uncertainty(
+        at, estimate_rounding_uncertainty(full, at), 2 * limit
+    )
     return IntermediateModel(response, max(recent), True, proof)
 
 

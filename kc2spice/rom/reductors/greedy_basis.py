@@ -19,10 +19,10 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.reductors.block_krylov import DEFLATION_LIMIT
-from kc2spice.rom.reductors.exact_samples import real_parts
+from kc2spice.rom.reductors.exact_samples import split_real_parts
 from kc2spice.rom.response import Response, sample_band
-from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding, split_rigid_body
-from kc2spice.rom.rounding import ENERGY_ROUNDING, zero_entries
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding, split_rigid_body
+from kc2spice.rom.rounding import ENERGY_ROUNDING, find_zero_entries
 
 # Largest residual of K x = B, relative to B, of a supported model. K of an unsupported model is
 # singular.
@@ -104,8 +104,7 @@ class GreedyBasis:
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
-        """Add the static responses; return False for a free model, which has none.
-"""
+        """Add the static responses; return False for a free model, which has none."""
         b = self.pencil.B
         try:
             answers = self.solve(0.0)
@@ -135,7 +134,7 @@ class GreedyBasis:
     def extend(self, s: complex, *answers: np.ndarray) -> None:
         """Add the solutions at ``s`` to the basis."""
         self._used.append(s)
-        new = np.column_stack([*chain.from_iterable(map(real_parts, answers))])
+        new = np.column_stack([*chain.from_iterable(map(split_real_parts, answers))])
         fresh = _independent_directions(self.basis, new)
         if not fresh.shape[1]:
             self._previous = self.response
@@ -148,7 +147,7 @@ class GreedyBasis:
         small, turn = self._split_rigid_body(small)
         self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
-        self.response.zero = zero_entries(
+        self.response.zero = find_zero_entries(
             self.pencil, self.basis @ self.turn, self.response, self.band
         )
 
@@ -166,7 +165,7 @@ class GreedyBasis:
         if (energies > np.diag(bound)).all():
             return small, np.eye(small.size)
         if not isinstance(coefficients[0], Schur):
-            bound = np.minimum(bound, ENERGY_FACTOR * energy_rounding(coefficients[0], V))
+            bound = np.minimum(bound, ENERGY_FACTOR * estimate_energy_rounding(coefficients[0], V))
         others = [ENERGY_ROUNDING * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
         result = split_rigid_body(small, 2 * np.pi * self.band[1], (bound, *others))
         if result.pencil.degree != small.degree or (self.static and result.pencil.free):

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.rom.pencil import Pencil, explicit_pencil
+from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import (
     NOT_STABLE_TEXT,
@@ -109,8 +109,7 @@ class OptimalModels(ReducedBasis):
         return None
 
     def _optimal(self, order: int) -> Pencil:
-        """Iterate the poles of the model of this order, beginning with the balanced model.
-"""
+        """Iterate the poles of the model of this order, beginning with the balanced model."""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.leading_model(order)
@@ -125,7 +124,7 @@ class OptimalModels(ReducedBasis):
             if change <= POLE_TOLERANCE:
                 break
             former = poles
-            reduced = interpolate_response(full, mirrored_poles(poles), left, right)
+            reduced = interpolate_response(full, mirror_poles(poles), left, right)
         else:
             warnings.warn(
                 f"IRKA of order {order} has not converged: the last iteration changed its poles "
@@ -145,7 +144,7 @@ def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
 
 
-def mirrored_poles(poles: np.ndarray) -> np.ndarray:
+def mirror_poles(poles: np.ndarray) -> np.ndarray:
     """Return the mirror image of each stable pole; unstable poles remain."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
@@ -158,7 +157,7 @@ def interpolate_response(
     W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
     A = np.linalg.solve(inner, W.T @ -pencil.coefficients[0] @ V)
-    return explicit_pencil(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
+    return make_explicit_pencil(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
 
 
 def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:

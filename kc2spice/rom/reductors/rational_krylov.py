@@ -10,13 +10,13 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import ConvergenceTimer
-from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
+from kc2spice.rom.intermediate import IntermediateModel, make_no_convergence_error
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.greedy_basis import GreedyBasis
-from kc2spice.rom.rigid_body import hidden_support
-from kc2spice.rom.rounding import removed_stiffness, with_rounding
+from kc2spice.rom.rigid_body import find_hidden_support
+from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 
 # limits of the computing time, beyond which the method fails; found by trials
 MAX_VECTORS = 600  # largest number of vectors of a basis
@@ -104,7 +104,7 @@ def _frequencies(points: Sequence[float]) -> np.ndarray:
     return result
 
 
-def rational_krylov_model(
+def reduce_by_rational_krylov(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, most: int
 ) -> IntermediateModel:
     """Return a reduced model with an error within ``target`` over ``band`` [Hz].
@@ -144,14 +144,14 @@ def rational_krylov_model(
     worst = max(recent)
     proof = f"compared with the full model at {search.points} frequencies"
     small = search.response.pencil
-    floor = removed_stiffness(search.projected, small, band) if small.free else 0.0
-    hidden = hidden_support(pencil, search.modal_basis[:, : small.free], band[0])
+    floor = estimate_removed_stiffness(search.projected, small, band) if small.free else 0.0
+    hidden = find_hidden_support(pencil, search.modal_basis[:, : small.free], band[0])
     static = search.static or small.free > 0
     result = IntermediateModel(
         search.response, worst, static, proof, floor, hidden=hidden,
         basis=search.basis @ search.turn, points=search.frequencies,
     )  # fmt: skip
-    result = with_rounding(pencil, search.modal_basis, band, result, target)
+    result = add_rounding_floor(pencil, search.modal_basis, band, result, target)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
-        raise no_convergence_error(search.response, band, worst, limit)
+        raise make_no_convergence_error(search.response, band, worst, limit)
     return replace(result, error=min(worst, limit))

@@ -103,7 +103,7 @@ def _load_installed_reductors() -> None:
         _reductors.setdefault(reductor.name, reductor)
 
 
-def reductor_names() -> list[str]:
+def list_reductor_names() -> list[str]:
     """Return the names of all registered and installed methods, built-in methods first."""
     _load_installed_reductors()
     return list(_reductors)
@@ -115,12 +115,12 @@ def require_method_name(name: str, where: str, advice: str) -> None:
     ``where`` is the argument or option that contains the name. ``advice`` is the next action for
     the user if no registered name is similar.
     """
-    if name not in _reductors and name not in reductor_names():
+    if name not in _reductors and name not in list_reductor_names():
         problem = "this reduction method does not exist"
         raise unknown(problem, name, _reductors, where, advice=advice)
 
 
-def reductor_named(method: str | Reductor) -> Reductor:
+def find_reductor(method: str | Reductor) -> Reductor:
     """Return the method with a name; if ``method`` is a method already, return it.
 
     Raises
@@ -135,7 +135,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
     return _reductors[method]
 
 
-def suited_reductors(task: Task) -> list[Reductor]:
+def list_suited_reductors(task: Task) -> list[Reductor]:
     """Return the default methods: response POD and balanced truncation.
 
     Congruences come first. Balancing over the band also represents notches, which are important

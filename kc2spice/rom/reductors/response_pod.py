@@ -10,7 +10,7 @@ import scipy
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
-from kc2spice.rom.reductors.snapshots import snapshots, tail_weight, weighted_states
+from kc2spice.rom.reductors.snapshots import choose_tail_weight, snapshots, weight_states
 from kc2spice.rom.response import Response
 
 # condition number of the stiffness above which the energy of a mode is a rounding error
@@ -64,7 +64,7 @@ class ResponsePod(Reductor):
         )
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _static_responses(task, response)
-        points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))
+        points = snapshots(task.estimator, response, choose_tail_weight(task.fom, task.tolerance))
         states = _weighted_states(task, response, points.s, points.weights(), self.two_sided)
         vectors = _orthonormalise(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
@@ -96,7 +96,7 @@ class ResponsePod(Reductor):
             return basis, order
         pencil, task = basis.pencil.leading_model(size), basis.task
         response = Response(pencil)
-        points = snapshots(task.estimator, response, tail_weight(task.fom, tolerance))
+        points = snapshots(task.estimator, response, choose_tail_weight(task.fom, tolerance))
         s, inside = points.s, slice(points.inside.size)
         H = task.response.transfer(s[inside])
         base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
@@ -152,9 +152,9 @@ def _weighted_states(
 ) -> list[np.ndarray]:
     """Return weighted states of the model and, if ``two_sided``, of its dual."""
     H = task.response.transfer(s)
-    result = [weighted_states(response, s, weight, H, task.norm)]
+    result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
-        dual = weighted_states(response.dual, s, weight, H.swapaxes(1, 2), task.norm)
+        dual = weight_states(response.dual, s, weight, H.swapaxes(1, 2), task.norm)
         result.append(dual)
     return result
 

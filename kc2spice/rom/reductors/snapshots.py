@@ -59,7 +59,7 @@ class Snapshots(NamedTuple):
         return np.asarray(np.r_[weight, above * self.above_weight])
 
 
-def tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
+def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
     """Return the weight of snapshots above the band; None without mechanical ports."""
     if not any(port.moving for port in model.ports):
         return None
@@ -84,7 +84,7 @@ def snapshots(
     return Snapshots(frequency, above, weight)
 
 
-def weighted_states(
+def weight_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
     """Return the real and imaginary parts of the states with weights for a relative error.

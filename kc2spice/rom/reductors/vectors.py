@@ -69,14 +69,14 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
     return V
 
 
-def unit_scale(V: np.ndarray) -> np.ndarray:
+def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
     """Return the vectors with norms between 0.7 and 1.5.
 
     The factors are powers of two, so there are no rounding errors and orthonormal vectors do not
     change. The scale of a vector changes no response. However, without scaling, a mass of 1e-22
     beside masses of 1 would count as zero.
 
-    >>> unit_scale(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
+    >>> scale_to_unit_norm(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
     array([[0.6 , 0.52],
            [0.8 , 0.69]])
     """

@@ -21,7 +21,7 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.verify_page import Findings, plot_solutions
-from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
+from kc2spice.rom.error_estimate import choose_adaptive_frequencies, relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.response import DirectResponse, Response
@@ -351,7 +351,7 @@ def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
-    result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
+    result = choose_adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
     # Four digits, so that models that differ only in ports have the same sample frequencies.
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 

@@ -15,7 +15,7 @@ from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
 from kc2spice.rom.parametric import DampingParameter
 from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
-from kc2spice.rom.varying import Varying
+from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
 _HEAT_MARK = "powers.npy"
@@ -24,14 +24,14 @@ _MARKS = {"exponents.npy", _HEAT_MARK}
 _MAX_DEGREE = 30  # largest degree of a polynomial in a file, more than any reduction uses
 
 
-def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[str]:
+def write_parametric_model(model: ModelOverRanges, directory: Path, name: str) -> list[str]:
     """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate.
 
     Returns the file names, the ``.npz`` file first.
     """
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
-    assert isinstance(model, Varying)  # the only other kind is HeatOverRanges
+    assert isinstance(model, ResonatorsOverRanges)  # the only other kind is HeatOverRanges
     content = describe_ranges(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
@@ -41,8 +41,8 @@ def write_varying(model: ModelOverRanges, directory: Path, name: str) -> list[st
     return write_archive(directory, name, arrays, content)
 
 
-def is_varying(path: Path) -> bool:
-    """Return whether a file is an archive that :func:`write_varying` wrote."""
+def is_parametric_model(path: Path) -> bool:
+    """Return whether a file is an archive that :func:`write_parametric_model` wrote."""
     try:
         with zipfile.ZipFile(path) as archive:
             return not _MARKS.isdisjoint(archive.namelist())
@@ -59,8 +59,8 @@ def _contains_heat(path: Path) -> bool:
         return False
 
 
-def read_varying(path: Path | str) -> ModelOverRanges:
-    """Read a file that :func:`write_varying` wrote.
+def read_parametric_model(path: Path | str) -> ModelOverRanges:
+    """Read a file that :func:`write_parametric_model` wrote.
 
     Raises
     ------
@@ -75,7 +75,9 @@ def read_varying(path: Path | str) -> ModelOverRanges:
         raise make_damage_error(path, error) from None
 
 
-def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:
+def _build(
+    arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
+) -> ResonatorsOverRanges:
     """Check the arrays and the record of a file, and make the model from them."""
     from pydantic import TypeAdapter  # imported here, because runs read no such file
 
@@ -100,7 +102,7 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
         raise ValueError("an exponent is not a whole number of at least 0")
     if exponents.max(initial=0) > _MAX_DEGREE or sum(blocks) != states or min(blocks) < 1:
         raise ValueError("an exponent or block number is out of range")
-    return Varying(
+    return ResonatorsOverRanges(
         losses=losses,
         blocks=blocks,
         damped=TypeAdapter(tuple[bool, bool]).validate_python(record["damped"]),

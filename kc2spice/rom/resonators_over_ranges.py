@@ -33,11 +33,11 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import (
+    DenseParametricModel,
     ParameterAxis,
     ParameterPolynomials,
-    Parametric,
     Values,
-    higher_degree,
+    choose_higher_degree,
     list_exponents,
     polynomials,
     reduce_over_parameters,
@@ -78,7 +78,7 @@ NOTCH_RESOLUTION = 1e-2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Varying(ParameterPolynomials, ModelOverRanges):
+class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
     """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges of parameters.
 
     Here ``E = alpha + beta L L'``, and ``T`` (terms,) are the products of polynomials for the
@@ -140,7 +140,7 @@ class Varying(ParameterPolynomials, ModelOverRanges):
         )
 
 
-def reduce_over_ranges(task: RangeTask) -> Varying:
+def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     """Reduce the models of a task over the ranges of its parameters.
 
     The certificate is valid for all values in the ranges. The error in the certificate is the
@@ -178,7 +178,7 @@ def reduce_over_ranges(task: RangeTask) -> Varying:
     return replace(result, certificate=certificate, facts=known)
 
 
-def _certify(task: RangeTask) -> tuple[Varying, float]:
+def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
     """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
     The error is the difference to full models. If the dense model or the resonators differ too much
@@ -201,7 +201,7 @@ def _certify(task: RangeTask) -> tuple[Varying, float]:
                 task.full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance
             )
             checks.append((values, space.estimator(band, task.norm), space.error))
-        degree = higher_degree(dense_model)
+        degree = choose_higher_degree(dense_model)
         error = SAFETY_FACTOR * _difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
@@ -216,7 +216,8 @@ def _certify(task: RangeTask) -> tuple[Varying, float]:
 
 
 def _difference(
-    model: Parametric | Varying, checks: Sequence[tuple[Values, ErrorEstimator, float]]
+    model: DenseParametricModel | ResonatorsOverRanges,
+    checks: Sequence[tuple[Values, ErrorEstimator, float]],
 ) -> float:
     """Return the largest relative difference of a model to the full models of ``checks``."""
     return max(
@@ -247,8 +248,11 @@ def interpolate_facts(
 
 
 def make_resonators(
-    dense_model: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
-) -> tuple[Varying, float]:
+    dense_model: DenseParametricModel,
+    band: tuple[float, float],
+    tolerance: float,
+    norm: Norm = "pointwise",
+) -> tuple[ResonatorsOverRanges, float]:
     """Convert ``dense_model`` to resonators over its ranges.
 
     The second result is the largest difference of the resonators from ``dense_model`` at random
@@ -307,7 +311,7 @@ def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> di
 
 
 def _check_points(
-    dense_model: Parametric, band: tuple[float, float], norm: Norm
+    dense_model: DenseParametricModel, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
     """Yield points of the ranges, each with an error estimator that uses the dense model.
 
@@ -337,7 +341,7 @@ class _ModesOverRanges:
     ``count`` is the number of modes that the result contains, which include all modes in the band.
     """
 
-    def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:
+    def __init__(self, dense_model: DenseParametricModel, band: tuple[float, float]) -> None:
         self.dense_model, self.band, self.axes = dense_model, band, len(dense_model.axes)
         self.free, self.moved = 0, False
         line = np.cos(np.pi * (np.arange(GRID_POINTS[self.axes]) + 0.5) / GRID_POINTS[self.axes])
@@ -428,8 +432,7 @@ class _ReducedSpace:
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
-        """Return the squared frequencies (q,) and shapes (n, q) of modes and Ritz vectors.
-"""
+        """Return the squared frequencies (q,) and shapes (n, q) of modes and Ritz vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
@@ -461,7 +464,9 @@ class _ReducedSpace:
             self._known[a, b] = np.array([k for k, _ in rows]), np.array([g for _, g in rows])
         return self._known[a, b]
 
-    def fit_polynomials(self, gap: float, degree: int, tolerance: float) -> Varying | None:
+    def fit_polynomials(
+        self, gap: float, degree: int, tolerance: float
+    ) -> ResonatorsOverRanges | None:
         """Fit polynomials to the data of blocks that are separated by ``gap``.
 
         The gap is the smallest logarithm of the ratio of squared frequencies of two blocks. The
@@ -514,7 +519,7 @@ class _ReducedSpace:
         facts = dict[str, np.ndarray]()
         if modes.moved:
             facts[SOFT_SUPPORT] = modes.soft_support * (exponents.sum(axis=1) == 0)
-        return Varying(
+        return ResonatorsOverRanges(
             axes=dense_model.axes,
             losses=dense_model.losses,
             ports=dense_model.frame.ports,
