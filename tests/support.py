@@ -47,7 +47,7 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.core.equality": "have_same_content",
     "kc2spice.core.errors": (
-        "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError"
+        "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError did_you_mean"
     ),
     "kc2spice.core.extras": "OPTIONAL_LIBRARIES import_optional",
     "kc2spice.core.figure": "Curve Figure Map Panel",

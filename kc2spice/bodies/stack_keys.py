@@ -20,6 +20,7 @@ from kc2spice.core.quantities import (
     Stiffness,
     Thickness,
     Width,
+    invalid_value_error,
 )
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
@@ -64,8 +65,10 @@ class ChipMesh(Section):
     def _require_even_sectors(self) -> ChipMesh:
         """Require an even number of sectors."""
         if self.sectors % 2:
-            raise ValueError(
-                "sectors must be an even number, so that a mesh line meets the corner of the chip"
+            raise invalid_value_error(
+                "sectors must be an even number, so that a mesh line meets the corner of the chip",
+                None,
+                hint=f"write sectors = {self.sectors + 1}",
             )
         return self
 
@@ -161,21 +164,33 @@ class Chip(Section):
     @model_validator(mode="after")
     def _require_consistent(self) -> Chip:
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
-            raise ValueError("the size of the chip is missing: write diameter, or side and depth")
+            raise invalid_value_error(
+                "the size of the chip is missing: write diameter, or side and depth",
+                None,
+                hint="delete side and depth, or delete diameter",
+            )
         if self.layer_thickness is not None:
             height = self.layers * self.layer_thickness
             if not math.isclose(height, self.height):
-                raise ValueError(
-                    "write height or layer_thickness, not both: height = layers * layer_thickness"
+                raise invalid_value_error(
+                    "write height or layer_thickness, not both: height = layers * layer_thickness",
+                    None,
+                    hint="delete height",
                 )
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
         if outermost > half * (1 - 1e-6):
-            raise ValueError(
-                f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the chip; "
-                f"half of the smaller side is {half:g} m"
+            raise invalid_value_error(
+                (
+                    f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the "
+                    f"chip; half of the smaller side is {half:g} m"
+                ),
+                None,
+                hint=f"lower mesh.rings to {int(half * (1 - 1e-6) // self.mesh.ring_spacing)}",
             )
         if self.poling == "x" and self.mounting in ("roller", "free"):
-            raise ValueError('poling = "x" needs mounting = "glued"')
+            raise invalid_value_error(
+                'poling = "x" needs mounting = "glued"', None, hint='write  mounting = "glued"'
+            )
         try:
             _ = self.ceramic
         except UsageError as error:

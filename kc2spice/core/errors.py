@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -112,8 +113,43 @@ def wrong(
     expected: str | None = None,
     hint: str | None = None,
 ) -> UsageError:
-    """Make a :class:`UsageError` about a file or key."""
+    """Make a :class:`UsageError` about a file or key; a limit in ``expected`` gives a hint."""
+    hint = hint or advise_limit(where, expected)
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
+
+
+# First words of an expectation that states a limit, and the action that satisfies it.
+_LIMIT_ACTIONS = {
+    "at most": ("lower", "to"),
+    "at least": ("raise", "to"),
+    "less than": ("lower", "below"),
+    "below": ("lower", "below"),
+    "more than": ("raise", "above"),
+    "greater than": ("raise", "above"),
+    "above": ("raise", "above"),
+}
+
+
+def advise_limit(where: str | None, expected: str | None) -> str | None:
+    """Advise how to change the key ``where`` to satisfy the limit in ``expected``.
+
+    >>> advise_limit("gap.travel", "less than the gap, 1e-06 m")
+    'lower travel below 1e-06 m'
+    >>> advise_limit("listener.angle", "at most 90 degrees")
+    'lower angle to 90 degrees'
+    """
+    limit = _LIMIT.match(expected or "")
+    if not where or limit is None:
+        return None
+    action, preposition = _LIMIT_ACTIONS[limit[1]]
+    key = where.rpartition(" ")[2].rpartition(".")[2].removeprefix("--")
+    return f"{action} {key} {preposition} {limit[2]}"
+
+
+# limit: a number with a unit, possibly behind the name of another quantity
+_LIMIT = re.compile(
+    rf"({'|'.join(_LIMIT_ACTIONS)}) (?:[^,;]*, )?(-?\d[\d.e+-]*(?: [\w/%]+)?)(?=$|[,;:])"
+)
 
 
 def unknown(
@@ -175,6 +211,15 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
 
     if len(word) > MAX_COMPARED_LENGTH:
         return None  # the time of a comparison is proportional to the square of the length
+    choices = list(choices)
+    owner, dot, _ = word.partition(".")
+    same = [choice for choice in choices if dot and choice.startswith(f"{owner}.")]
+    if same and len(same) < len(choices):  # names of the same part are more likely
+        near_same = did_you_mean(word, same)
+        last = word.rpartition(".")[2].lower()
+        begun = [item for item in same if last.startswith(item.rpartition(".")[2].lower())]
+        if near_same or begun:
+            return near_same or f"did you mean {begun[0]!r}?"
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)

@@ -69,7 +69,8 @@ def describe_invalid(
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _explain_invalid(result, schema, full_path, also, missing)
     # if two keys contradict each other, the message contains the reason, and no value is quoted
-    contradicts = kind == "value_error" and isinstance(typed, Mapping)
+    reason_only = kind == "value_error" or (kind == "quantity" and expected is None)
+    contradicts = reason_only and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
@@ -112,6 +113,7 @@ def _explain_invalid(
                 or _suggest_key(word, fields)
                 or near
                 or _suggest_synonym(word, fields)
+                or _suggest_described_key(word, table_schema)
             )
             return (
                 "unknown key",
@@ -171,6 +173,9 @@ def _explain_invalid(
                 hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
                 if isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
                     hint = f'write  {full_path[-1]} = {{ {key} = "{details["input"]}" }}'
+                elif key := _find_value_key(schema, path, details["input"]):
+                    value = _format_toml(details["input"])
+                    hint = f"write  {full_path[-1]} = {{ {key} = {value} }}"
             return "not a table", f"a table, {table}", hint
         case "tuple_type" | "list_type":
             entered = details["input"]
@@ -271,6 +276,10 @@ _CHOICE_SYNONYMS = {
     "gear2": "gear",
     "trapezoidal": "trap",
     "clamp": "clamped",
+    "over": "above",
+    "top": "above",
+    "under": "below",
+    "bottom": "below",
     "fixed": "clamped",
     "simplysupported": "simply_supported",
     "pinned": "simply_supported",
@@ -349,6 +358,15 @@ _KEY_SYNONYMS = {
 }
 
 
+def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
+    """Suggest the key whose description contains ``word`` as its name in SPICE."""
+    described = re.compile(rf"\b{re.escape(word)} of the SPICE model", re.IGNORECASE)
+    for name, field in table.model_fields.items():
+        if described.search(field.description or ""):
+            return f"write {name} in place of {word}"
+    return None
+
+
 def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
     """Suggest the key of the table with the meaning of a key of another program."""
     keys = _KEY_SYNONYMS.get(_plain_word(word), ())
@@ -401,6 +419,20 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
     required = [name for name, field in fields.items() if field.is_required()]
     if len(required) == 1 and fields[required[0]].annotation is str:
         return required[0]
+    return None
+
+
+def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
+    """Return the key of the table at ``path`` that a number or quantity most likely states."""
+    table = _find_schema(schema, (*path, ""))
+    if isinstance(value, (int, float)) and {"quality", "ratio"} <= set(table.model_fields):
+        return "quality" if value > 1 else "ratio"
+    for name, field in table.model_fields.items():
+        unit = find_unit(field)
+        if unit is not None:
+            with contextlib.suppress(UsageError):
+                quantity(value, unit)
+                return name
     return None
 
 
@@ -531,7 +563,23 @@ _UNIT_WORDS = {
     "percent": "%",
 }  # fmt: skip
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
-_FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
+# Units outside of the SI, with their value and SI unit. Values of NIST SP 811, appendix B.
+_FOREIGN_UNITS = {
+    "in": (0.0254, "m"), "inch": (0.0254, "m"), '"': (0.0254, "m"), "mil": (2.54e-5, "m"),
+    "thou": (2.54e-5, "m"), "ft": (0.3048, "m"), "Å": (1e-10, "m"), "micron": (1e-6, "m"),
+    "lb": (0.45359237, "kg"), "oz": (0.028349523125, "kg"), "t": (1e3, "kg"),
+    "g": (9.80665, "m/s2"), "g0": (9.80665, "m/s2"), "G": (9.80665, "m/s2"),
+    "gal": (0.01, "m/s2"), "lbf": (4.4482216152605, "N"), "kgf": (9.80665, "N"),
+    "gf": (9.80665e-3, "N"), "dyn": (1e-5, "N"), "bar": (1e5, "Pa"), "mbar": (100.0, "Pa"),
+    "atm": (101325.0, "Pa"), "psi": (6894.757293168, "Pa"), "torr": (133.322368, "Pa"),
+    "mmHg": (133.322387, "Pa"), "gauss": (1e-4, "T"), "Gs": (1e-4, "T"),
+    "min": (60.0, "s"), "h": (3600.0, "s"), "ms-1": (1.0, "m/s"), "km/h": (1 / 3.6, "m/s"),
+    "mph": (0.44704, "m/s"), "rpm": (1 / 60, "Hz"), "u/min": (1 / 60, "Hz"),
+    "Wh": (3600.0, "J"), "kWh": (3.6e6, "J"), "cal": (4.184, "J"), "eV": (1.602176634e-19, "J"),
+    "hp": (745.699871582, "W"), "Ah": (3600.0, "C"), "mAh": (3.6, "C"),
+    "g/cm3": (1e3, "kg/m3"), "g/cc": (1e3, "kg/m3"), "cc": (1e-6, "m3"), "ppm": (1e-6, ""),
+}  # fmt: skip
+_FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?([1-9]?)")
 _UNIT_SPELLINGS = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "}
 )
@@ -644,6 +692,14 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         with contextlib.suppress(ValueError):
             _parse_quantity(f"{begun[1]} {symbol}", si)
             return f'write  "{begun[1]} {symbol}"'
+    power = re.fullmatch(r"(m)([23])", si)
+    if begun is not None and power and _parse_unit(begun[2]) == _parse_unit(f"{begun[2][:-1]}m"):
+        return f'write  "{begun[1]} {begun[2]}{power[2]}"'  # a length in place of an area
+    if begun is not None:
+        factor, foreign = _FOREIGN_UNITS.get(begun[2], (0.0, ""))
+        if factor and foreign == si:
+            converted = float(f"{factor * float(begun[1]):.6g}")
+            return f'write  "{f"{converted:.12g} {si}".strip()}"'
     if begun is not None and begun[2] and si.startswith((f"{begun[2]}/", f"{begun[2]} ")):
         return f'write  "{begun[1]} {si}"'
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):

@@ -83,8 +83,10 @@ class Damping(Section):
             others["two ratios"] = isinstance(self.ratio, tuple)
             for name, value in others.items():
                 if value:
-                    raise ValueError(
-                        f'{name} applies only to model = "rayleigh"; write one quality instead'
+                    raise invalid_value_error(
+                        f'{name} applies only to model = "rayleigh"; write one quality instead',
+                        None,
+                        hint=f'delete {name}, or write  model = "rayleigh"',
                     )
         return self
 
@@ -103,7 +105,11 @@ class Damping(Section):
             )
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:
-            raise ValueError("two values of ratio need two frequencies in at")
+            raise invalid_value_error(
+                "two values of ratio need two frequencies in at",
+                None,
+                hint='write for example  ratio = [0.01, 0.02]  and  at = ["1 kHz", "5 kHz"]',
+            )
         values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
             raise invalid_value_error(
@@ -118,9 +124,13 @@ class Damping(Section):
                 hint="for 1 % damping, write ratio = 0.01 or quality = 50",
             )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
-            raise ValueError(
-                "Rayleigh damping cannot have these two damping ratios: for frequencies f1 < "
-                "f2, zeta2/zeta1 must be between f1/f2 and f2/f1"
+            raise invalid_value_error(
+                (
+                    "Rayleigh damping cannot have these two damping ratios: for frequencies f1 < "
+                    "f2, zeta2/zeta1 must be between f1/f2 and f2/f1"
+                ),
+                None,
+                hint="write one ratio with one frequency",
             )
         return self
 

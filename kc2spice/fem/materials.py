@@ -502,6 +502,14 @@ class MaterialTable(Section):
                 expected=f"one youngs_modulus and one poisson_ratio, or {expected}",
                 hint="for an isotropic material, leave out shear_modulus",
             )
+        if isinstance(nu, float) and not -1 < nu < 0.5:
+            raise wrong(
+                "poisson_ratio",
+                "the Poisson ratio of this material is out of range",
+                f"{nu:g}",
+                "above -1 and below 0.5",
+                "for metals and ceramics, write for example 0.3",
+            )
         if min(E) <= 0 or not min(g) > 0:
             expected = "moduli above zero, and a poisson_ratio above -1"
             raise UsageError("an elastic modulus is not positive", got=[*E, *g], expected=expected)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core import __version__
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 from kc2spice.core.untrusted_files import decode_text, read_bounded
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
 from kc2spice.netlist.expression import literal_value
@@ -191,10 +191,27 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
         text = decode_text(read_bounded(path, MAX_LIBRARY_BYTES))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError("this library cannot be read", where=str(path), got=reason) from None
+        message = "this library cannot be read"
+        hint = f"check the permissions and the encoding of {path}"
+        if isinstance(error, FileNotFoundError):
+            similar = did_you_mean(path.stem, (item.stem for item in path.parent.glob("*.*")))
+            hint = similar or f"copy {path.name} to {path.parent.absolute()}"
+            message = "this file does not exist"
+        raise UsageError(
+            message,
+            where=str(path),
+            got=None if message.endswith("exist") else reason,
+            expected="a netlist with at least one .subckt",
+            hint=hint,
+        ) from None
     parts = parse_subcircuits(text, path.name)
     if not parts:
-        raise UsageError("this library contains no subcircuit", where=str(path), expected=".subckt")
+        raise UsageError(
+            "this library contains no subcircuit",
+            where=str(path),
+            expected="a netlist with at least one .subckt",
+            hint="put the elements between  .subckt NAME PIN1 PIN2  and  .ends NAME",
+        )
     return parts
 
 

@@ -682,7 +682,16 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
 def _require_frequencies(frequency: Any) -> np.ndarray:
     """Return frequencies [Hz] as an array of one dimension."""
     try:
-        return np.atleast_1d(np.asarray(frequency, dtype=float))
+        result = np.atleast_1d(np.asarray(frequency, dtype=float))
+        if result.ndim > 1:
+            raise UsageError(
+                f"the array of frequencies has {result.ndim} dimensions",
+                where="frequency",
+                got=f"an array of {' x '.join(map(str, result.shape))} numbers",
+                expected="a number in Hz, or an array of one dimension",
+                hint="write numpy.ravel(FREQUENCIES)",
+            )
+        return result
     except (TypeError, ValueError):
         raise UsageError(
             "the frequencies are not numbers",
@@ -712,7 +721,8 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
             "this object is not a port",
             where=f"{where}: ports",
             got=repr(strange),
-            expected='kc2spice.Port(NAME, KIND), such as Port("tip", "mechanical")',
+            expected="kc.Port(NAME, KIND)",
+            hint=f'write kc.Port("{strange if isinstance(strange, str) else "tip"}", "mechanical")',
         )
     if not ports:
         names = [(f"u{i + 1}", "input") for i in range(m)]
@@ -727,6 +737,9 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
             where=where,
             got=", ".join(f"{port.name} ({port.kind})" for port in ports),
             expected=f"{m} columns of B, {p} rows of C, and distinct names",
+            hint="rename one of two ports with the same name"
+            if len(set(low)) < len(low)
+            else f"state {m} ports in place of {len(ports)}",
         )
     return ports
 
@@ -780,6 +793,9 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
             where=where,
             got=_describe_entries(data),
             expected="real, finite numbers",
+            hint=f"write {letter}.real for the matrix {letter}"
+            if data.dtype.kind == "c"
+            else f"export the matrix {letter} again",
         )
     if matrix.ndim != 2:
         raise UsageError(

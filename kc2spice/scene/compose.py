@@ -164,9 +164,12 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         )
         choices = list(map(".".join, fitting))
         name = ".".join(b)
-        # if another pin of the part is joined, the first choice may be on the same net
-        alone = not scene.parts[a[0]].pins.keys() - {a[1]}
-        suggested = choices[0] if choices and alone else GROUND
+        # if the other end of a part with two pins is joined, the first choice may be on its net
+        ends = [pin.name for pin in scene.pins(a[0])]
+        joined = len(ends) == 2 and any(
+            pin in scene.parts[a[0]].pins for pin in ends if pin != a[1]
+        )
+        suggested = choices[0] if choices and not joined else GROUND
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,

@@ -22,7 +22,7 @@ import numpy as np
 from typing_extensions import TypeVar
 
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, across_of, domain_of
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.quantities import Section
 from kc2spice.core.workspace import Workspace
@@ -200,7 +200,7 @@ class Part(Generic[KeysT]):
     ) -> UsageError:
         """Return an error about a key of the part, or about the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
-        return UsageError(message, where=where, got=got, expected=expected, hint=hint)
+        return wrong(where, message, got, expected, hint)
 
     def __repr__(self) -> str:
         joined = ", ".join(map("{} = {}".format, self.pins, self.pins.values()))

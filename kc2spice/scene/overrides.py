@@ -7,6 +7,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
@@ -58,6 +59,16 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
         if "=" in text or not text.endswith(".toml"):
             result.append(text)
             continue
+        if not Path(text).is_file():
+            near = get_close_matches(text, map(str, Path().glob("*.toml")), 1, 0.7)
+            raise UsageError(
+                "this file does not exist",
+                where=f"--set {clip_text(text)!r}",
+                expected="KEY=VALUE, or a TOML file of keys",
+                hint=f"did you mean {near[0]!r}?"
+                if near
+                else f"write KEY=VALUE in place of {text}",
+            )
         for key, value in _flatten_tables(open_scene(text).parse()):
             result.append(f"{key}={format_toml(value)}")
     return result

@@ -37,6 +37,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     yield from _check_sweep_type(scene)
     yield from _check_frequencies(scene)
     yield from _check_noise_output(scene.analysis)
+    yield from _check_noise_start(scene.analysis)
     if scene.analysis.type == "dc":
         yield from _check_swept_key(scene)
     for name, probe in scene.probes.items():
@@ -178,6 +179,19 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
             got=f'type = "{selected.type}", output = "{selected.output}"',
             expected=expected,
             hint="delete the key output of [analysis]",
+        )
+
+
+def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
+    """Yield an error of a noise analysis that begins at 0 Hz, which ngspice rejects."""
+    start, stop = selected.start, selected.stop
+    if selected.type == "noise" and start <= 0 and stop:
+        yield UsageError(
+            "a noise analysis cannot begin at 0 Hz",
+            where="analysis.start",
+            got=f"{start:g} Hz",
+            expected=f"above 0 Hz and below the stop, {format_quantity(stop, 'Hz')}",
+            hint=f'add  start = "{stop / 1000:g} Hz"  to [analysis]',
         )
 
 

@@ -7,6 +7,7 @@ contains the default and the description of every key.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -380,7 +381,14 @@ class Analysis(Section):
         try:
             return quantity(stop, unit)
         except UsageError as error:
-            raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
+            other = "s" if unit == "Hz" else "Hz"
+            hint = error.hint
+            with suppress(UsageError):
+                quantity(stop, other)
+                kind = info.data["type"]
+                example = "100 kHz" if unit == "Hz" else "10 ms"
+                hint = f'write for example  stop = "{example}"  in the {kind} analysis'
+            raise invalid_value_error(error.message, error.expected, hint=hint) from None
 
     @property
     def is_small_signal(self) -> bool:

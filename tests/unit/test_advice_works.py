@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import Check, name_arguments, name_options, require_passed
+from support import Check, did_you_mean, name_arguments, name_options, quantity, require_passed
 
 import kc2spice as kc
 
@@ -35,6 +35,9 @@ type = "op"
 [probes.current]
 of = "load.i"
 """
+RELAY = {"part": "relay", "resistance": "70 Ohm", "voltage": "5 V", "operate_time": "10 ms",
+         "pins": {"plus": "d.out", "no": "d.out", "com": "gnd"}}  # fmt: skip
+DRIVE = {"part": "source", "dc": "5 V"}
 CHAIN = {
     "M": np.eye(3),
     "K": 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1),
@@ -275,3 +278,84 @@ def test_names_of_other_programs(cli):
         kc.load  # noqa: B018
     with pytest.raises(kc.errors.UsageError, match=r"kc.reduce\(kc.read_model\('c.npz'\)"):
         kc.reduce("c.npz", order=1)
+
+
+@pytest.mark.parametrize(
+    ("typed", "unit", "advice"),
+    [
+        ("1 in", "m", "0.0254 m"),
+        ("2 mil", "m", "5.08e-05 m"),
+        ("2 g", "m/s2", "19.6133 m/s2"),
+        ("1 g0", "m/s2", "9.80665 m/s2"),
+        ("1 bar", "Pa", "100000 Pa"),
+        ("60 rpm", "Hz", "1 Hz"),
+        ("7.75 g/cc", "kg/m3", "7750 kg/m3"),
+        ("0.8 cm", "m3", "0.8 cm3"),
+        ("3 mm", "m2", "3 mm2"),
+    ],
+)
+def test_units_outside_of_the_si_are_converted(typed, unit, advice):
+    """Values of NIST SP 811, appendix B."""
+    with pytest.raises(kc.errors.UsageError) as caught:
+        quantity(typed, unit)
+    assert caught.value.hint == f'write  "{advice}"'
+    quantity(advice, unit)
+
+
+@pytest.mark.parametrize(
+    ("scene", "override", "head", "advice"),
+    [
+        ("buzzer_noise", "analysis.start=0", "a noise analysis cannot begin at 0 Hz",
+         'add  start = "20 Hz"'),
+        ("sounder_in_housing", "listener.angle=120", "behind the baffle", "lower angle to 90"),
+        ("sounder_in_housing", "hole.area=7 mm2", "the duct has two sizes", "delete area"),
+        ("gap_biased", "gap.travel=9 um", "behind the fixed electrode",
+         "lower travel below 1e-06 m"),
+        ("gap_biased", "gap.side=over", "not one of the choices", 'write  side = "above"'),
+        ("harvester_bridge", "d1.IS=1e-14", "unknown key",
+         "write saturation_current in place of IS"),
+        ("buzzer_noise", "disc.damping=50", "not a table", "write  damping = { quality = 50 }"),
+        ("buzzer_noise", "disc.layers[1].electrodes=18 mm", "larger than its layer",
+         "lower electrodes to at most 0.014 m"),
+        ("buzzer_noise", "analysis.stop=1 ms", "wrong unit", 'stop = "100 kHz"'),
+    ],
+)  # fmt: skip
+def test_the_value_or_key_to_write(cli, scene, override, head, advice):
+    found = rows(cli("run", scene, "--set", override).stderr)
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+def test_a_poisson_ratio_of_a_liquid_is_named():
+    metal = {"density": 7750, "youngs_modulus": "60 GPa", "poisson_ratio": 0.6}
+    layer = {"diameter": "20 mm", "thickness": "0.5 mm"}
+    disc = {"part": "disc", "layers": [layer | {"material": "PZT-4"}, layer | {"material": metal}]}
+    with pytest.raises(kc.errors.UsageError, match="Poisson ratio"):
+        kc.build({"plate": disc})
+
+
+def test_objects_of_a_wrong_kind_in_python():
+    constants = {"M": np.eye(2), "K": np.eye(2), "B": np.ones((2, 1))}
+    cases = (
+        (lambda: kc.LinearModel(**constants, ports=["tip"]), 'kc.Port("tip", "mechanical")'),
+        (lambda: kc.LinearModel(**(constants | {"M": 1j * np.eye(2)})), "write M.real"),
+        (lambda: kc.LinearModel(**constants).transfer([[1, 2], [3, 4]]), "numpy.ravel"),
+        (lambda: kc.read_lib("amp.lib"), "copy amp.lib to"),
+        (lambda: kc.load_scene("impact", ["values.toml"]), "in place of values.toml"),
+    )
+    for call, advice in cases:
+        with pytest.raises(kc.errors.UsageError) as caught:
+            call()
+        assert advice in caught.value.hint
+
+
+def test_the_output_of_a_noise_analysis_is_searched_in_its_part():
+    names = ["disc.voltage", "load.v", "load.i"]
+    assert did_you_mean("load.voltage", names) == "did you mean 'load.v'?"
+
+
+def test_voltages_of_a_relay_in_the_wrong_order():
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene({"k": RELAY | {"pick_up": "0.5 V", "release": "3 V"}, "d": DRIVE})
+    assert 'pick_up = "3 V" and release = "0.5 V"' in caught.value.hint
+    kc.load_scene({"k": RELAY | {"pick_up": "3 V", "release": "0.5 V"}, "d": DRIVE})

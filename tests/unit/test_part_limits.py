@@ -58,7 +58,7 @@ LIMITS = [
     (EM, "catch.remanence=1.6", "catch.remanence=1.61", "permanent magnet"),
     (EM, "catch.air_radius=1 m", "catch.air_radius=1.01 m", "fourth power"),
     (EM, "catch.lower.inner=1.001 mm", "catch.lower.inner=1 mm", "does not fit through"),
-    (EM, "catch.ring.inner=4.999 mm", "catch.ring.inner=5 mm", "no material left"),
+    (EM, "catch.ring.inner=4.999 mm", "catch.ring.inner=5 mm", "inner is not smaller than outer"),
     (EM, "catch.air_height=8.6 mm", "catch.ring.height=30 mm", "beyond the modelled air"),
     (EM, "catch.ring.outer=9.99 mm", "catch.ring.outer=10 mm", "beyond the modelled air"),
     (EM, "catch.upper.y=3 mm", "catch.upper.y=2.99 mm", "overlaps catch.lower"),

@@ -58,7 +58,7 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
     with pytest.raises(UsageError, match="header does not list") as caught:
         read_lib(tmp_path / "a.lib")
     assert caught.value.expected == pins
-    with pytest.raises(UsageError, match="this library cannot be read"):
+    with pytest.raises(UsageError, match="this file does not exist"):
         read_lib(tmp_path / "none.lib")
 
 

@@ -73,13 +73,21 @@ class FluidTable(Section):
     def _require_thermal_constants(self) -> FluidTable:
         """Require the key specific_heat if the fluid has a conductivity."""
         if self.conductivity and self.specific_heat is None:
-            raise ValueError("conductivity needs the key specific_heat")
+            raise invalid_value_error(
+                "conductivity needs the key specific_heat",
+                None,
+                hint="add for example  specific_heat = 1007",
+            )
         for key, least in (
             ("viscosity", SMALLEST_VISCOSITY),
             ("conductivity", SMALLEST_CONDUCTIVITY),
         ):
             if 0 < getattr(self, key) < least:
-                raise ValueError(f"{key} must be 0 or at least {least:g}")
+                raise invalid_value_error(
+                    f"{key} must be 0 or at least {least:g}",
+                    None,
+                    hint=f"raise {key} to {least:g}, or write {key} = 0",
+                )
         return self
 
     @property

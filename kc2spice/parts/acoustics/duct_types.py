@@ -88,7 +88,8 @@ class DuctKeys(FluidKeys):
     def _require_one_size(self) -> DuctKeys:
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
-            raise invalid_value_error(f"the duct has {number}", "radius or area")
+            hint = 'add for example  radius = "1 mm"' if self.radius is None else "delete area"
+            raise invalid_value_error(f"the duct has {number}", "radius or area", hint=hint)
         return self
 
     @property

@@ -149,7 +149,9 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 yield unknown("the scene has no radiation of this name", name, known, where)
             elif name in part.keys.sources[:k]:
                 message = "the listener hears this source twice"
-                yield part.wrong(f"sources.{k}", message, name, "each name once")
+                yield part.wrong(
+                    f"sources.{k}", message, name, "each name once", f"delete the second {name}"
+                )
         sources = self.radiating_surfaces(part, scene)
         if not sources:
             yield part.wrong(
@@ -157,27 +159,38 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 "the scene has no radiating surface that the listener could hear",
                 "no part of type radiation",
                 'a part with part = "radiation"',
+                'add for example  [surface] with part = "radiation" and radius = "10 mm"',
             )
             return
         first = sources[0].keys.fluid
         for source in sources[1:]:
             if source.keys.fluid != first:
                 message = "the sources of a listener are in different fluids"
-                yield part.wrong("sources", message, source.name, "sources in one fluid")
+                hint = f"write the fluid of {sources[0].name} for {source.name}"
+                yield part.wrong("sources", message, source.name, "sources in one fluid", hint)
         for item in sources:
             if item.pins.get(AMBIENT, GROUND) != GROUND:
                 message = "a listener hears surfaces that radiate into the ambient pressure alone"
                 got = f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}"
-                yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}")
+                hint = f"delete {AMBIENT} of the pins of {item.name}"
+                yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}", hint)
         for item in sources:
             if item.keys.shape == "sphere" and part.keys.distance < item.keys.surface_radius:
                 message = f"the listener is inside of the sphere {item.name}"
                 got, least = f"{part.keys.distance:g} m", item.keys.surface_radius
-                yield part.wrong("distance", message, got, f"at least {least:g} m")
+                yield part.wrong(
+                    "distance",
+                    message,
+                    got,
+                    f"at least {least:g} m",
+                    f"raise distance to {least:g} m",
+                )
         baffled = [item.name for item in sources if item.keys.shape == "baffled_piston"]
         if part.keys.angle > RIGHT_ANGLE and baffled:
             message = f"the listener is behind the baffle of {baffled[0]}"
-            yield part.wrong("angle", message, f"{part.keys.angle:g}", "at most 90 degrees")
+            yield part.wrong(
+                "angle", message, f"{part.keys.angle:g}", "at most 90 degrees", "lower angle to 90"
+            )
         self._warn_of_limits(part, sources, scene)
 
     def _warn_of_limits(

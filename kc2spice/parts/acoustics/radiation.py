@@ -71,9 +71,12 @@ class RadiationKeys(FluidKeys):
     def _require_one_size(self) -> RadiationKeys:
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
-            raise invalid_value_error(f"the surface has {number}", "radius or area")
+            hint = 'add for example  radius = "10 mm"' if self.radius is None else "delete area"
+            raise invalid_value_error(f"the surface has {number}", "radius or area", hint=hint)
         if self.motion is not None and self.shape == "sphere":
-            raise invalid_value_error("a pulsating sphere is no piston", "no key motion")
+            raise invalid_value_error(
+                "a pulsating sphere is no piston", "no key motion", hint="delete motion"
+            )
         return self
 
     @property

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.core.quantities import Length, Section, si
+from kc2spice.core.quantities import Length, Section, invalid_value_error, si
 from kc2spice.parts.bodies._mesh_keys import MeshKeys, Name, Point
 from kc2spice.rom.linear_model import Port
 
@@ -38,7 +38,11 @@ class FilmKeys(Section):
     @model_validator(mode="after")
     def _require_film(self) -> FilmKeys:
         if self.pin is not None and not self.coefficient:
-            raise ValueError("a film with a pin needs a coefficient greater than 0")
+            raise invalid_value_error(
+                "a film with a pin needs a coefficient greater than 0",
+                None,
+                hint='write for example  coefficient = "10 W/(m2 K)"',
+            )
         return self
 
 
@@ -83,7 +87,11 @@ class HeatSourceKeys(Section):
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
         if (self.group is None) == (self.at is None):
-            raise ValueError("this entry needs group or at")
+            raise invalid_value_error(
+                "this entry needs group or at",
+                None,
+                hint='add for example  group = "top"' if self.group is None else "delete at",
+            )
         return self
 
 
@@ -131,24 +139,54 @@ class HeatBodyKeys(MeshKeys):
     @model_validator(mode="after")
     def _require_complete(self) -> HeatBodyKeys:
         if bool(self.layers) == bool(self.mesh):
-            raise ValueError("a heat_body needs either mesh or layers")
+            raise invalid_value_error(
+                "a heat_body needs either mesh or layers",
+                None,
+                hint="delete mesh" if self.mesh else 'add for example  mesh = "case.msh"',
+            )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
-            raise ValueError("the keys materials and interfaces cannot be combined with layers")
+            raise invalid_value_error(
+                "the keys materials and interfaces cannot be combined with layers",
+                None,
+                hint="delete materials, interfaces, axisymmetric and groups",
+            )
         if self.mesh and not self.materials:
-            raise ValueError("a mesh needs materials")
+            raise invalid_value_error(
+                "a mesh needs materials",
+                None,
+                hint='add for example  materials = { GROUP = "copper" }  with a group of the mesh',
+            )
         stray = {name for item in self.interfaces for name in item.between} - set(self.materials)
         if stray:
-            raise ValueError(
-                f"interfaces contains groups without a material: {', '.join(sorted(stray))}"
+            raise invalid_value_error(
+                f"interfaces contains groups without a material: {', '.join(sorted(stray))}",
+                None,
+                hint=f'add a material for {min(stray)}, such as  materials.{min(stray)} = "copper"',
             )
         names = Counter(port.name for port in self.every_port)
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise ValueError(f"several pins have the same name: {', '.join(sorted(twice))}")
+            raise invalid_value_error(
+                f"several pins have the same name: {', '.join(sorted(twice))}",
+                None,
+                hint=f"rename one of the pins {twice[0]}",
+            )
         if THERMAL.reference in names:
-            raise ValueError(f"{THERMAL.reference} is a reserved name: the pin of the surroundings")
+            raise invalid_value_error(
+                f"{THERMAL.reference} is a reserved name: the pin of the surroundings",
+                None,
+                hint="rename this pin, such as outside",
+            )
         if not names:
-            raise ValueError("a heat_body needs a source, an isothermal face or a film with a pin")
+            raise invalid_value_error(
+                "a heat_body needs a source, an isothermal face or a film with a pin",
+                None,
+                hint='add for example  sources = { chip = "top" }',
+            )
         if not (self.leads_away or self.isothermal or [*self.film_pins]):
-            raise ValueError("heat cannot leave the body: add fixed, films or isothermal")
+            raise invalid_value_error(
+                "heat cannot leave the body: add fixed, films or isothermal",
+                None,
+                hint='add for example  fixed = ["bottom"]',
+            )
         return self

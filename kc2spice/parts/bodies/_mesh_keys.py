@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.core.errors import UsageError, list_candidates, wrong
-from kc2spice.core.quantities import Count, Length, RefinementRule, Section
+from kc2spice.core.quantities import Count, Length, RefinementRule, Section, invalid_value_error
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.fem import mesh_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -49,8 +49,10 @@ class GroupKeys(Section):
     @model_validator(mode="after")
     def _require_one_selector(self) -> GroupKeys:
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
-            raise ValueError(
-                "a group needs exactly one of the keys solids, faces, curves and points"
+            raise invalid_value_error(
+                "a group needs exactly one of the keys solids, faces, curves and points",
+                None,
+                hint="keep one of these keys in the group",
             )
         return self
 

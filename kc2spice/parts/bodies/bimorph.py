@@ -33,6 +33,7 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
+    invalid_value_error,
     validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
@@ -98,12 +99,24 @@ class BimorphKeys(FieldKeys):
     @model_validator(mode="after")
     def _check_consistency(self) -> BimorphKeys:
         if self.rows and self.patches is None:
-            raise ValueError("rows needs the key patches")
+            raise invalid_value_error(
+                "rows needs the key patches",
+                None,
+                hint="add  patches = [WIDTH, GAP]  or delete rows",
+            )
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
-                raise ValueError(f"points: {name} is already the name of a port")
+                raise invalid_value_error(
+                    f"points: {name} is already the name of a port",
+                    None,
+                    hint=f"rename the point, such as {name}_point",
+                )
             if not 0 <= x <= self.length:
-                raise ValueError(f"points.{name} is not on the beam")
+                raise invalid_value_error(
+                    f"points.{name} is not on the beam",
+                    None,
+                    hint=f"lower points.{name} to at most {self.length:g} m",
+                )
         return self
 
 

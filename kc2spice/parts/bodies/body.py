@@ -86,6 +86,12 @@ _NEEDS_OF_KINDS = {
     "base": "accepts neither",
     "face": "needs group",
 }
+_PLACE_HINTS = {
+    "mean": 'add for example  group = "NAME"  with a group of the mesh, and no at',
+    "rigid": 'add for example  group = "NAME"  with a group of faces, and no at',
+    "base": "delete group and at",
+    "face": 'add for example  group = "NAME"  with a group of faces, and no at',
+}
 _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
@@ -132,18 +138,34 @@ class PortKeys(Section):
         places = (self.group is not None) + (self.at is not None)
         of_group = self.kind in ("rigid", "face")
         if places != (0 if self.kind == "base" else 1) or (of_group and self.at):
-            raise ValueError(f'kind = "{self.kind}" {_NEEDS_OF_KINDS[self.kind]}')
+            raise invalid_value_error(
+                f'kind = "{self.kind}" {_NEEDS_OF_KINDS[self.kind]}',
+                None,
+                hint=_PLACE_HINTS[self.kind],
+            )
         if self.kind == "face":
             if self.axis is not None:
-                raise ValueError("pressure acts at right angles to a face: delete axis")
+                raise invalid_value_error(
+                    "pressure acts at right angles to a face: delete axis", None, hint="delete axis"
+                )
             return self
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
-            raise ValueError("this port needs the key axis: x, y, z or three numbers")
+            raise invalid_value_error(
+                "this port needs the key axis: x, y, z or three numbers",
+                None,
+                hint='add for example  axis = "z"',
+            )
         if self.kind == "rigid" and isinstance(self.axis, tuple):
-            raise ValueError("a rigid face moves along x, y, z, rx, ry or rz")
+            raise invalid_value_error(
+                "a rigid face moves along x, y, z, rx, ry or rz",
+                None,
+                hint='write for example  axis = "z"',
+            )
         if isinstance(self.axis, tuple) and not any(self.axis):
-            raise ValueError("axis has no length")
+            raise invalid_value_error(
+                "axis has no length", None, hint='write for example  axis = "z"'
+            )
         return self
 
     @property
@@ -222,19 +244,31 @@ class AxesKeys(Section):
     @model_validator(mode="after")
     def _require_frame(self) -> AxesKeys:
         if not any(self.z):
-            raise ValueError("z has no length")
+            raise invalid_value_error(
+                "z has no length", None, hint="write for example  z = [0, 0, 1]"
+            )
         if self.kind == "cylindrical":
             if self.x is not None:
-                raise ValueError("the first axis of cylindrical axes is radial: delete x")
+                raise invalid_value_error(
+                    "the first axis of cylindrical axes is radial: delete x", None, hint="delete x"
+                )
             return self
         if self.origin is not None:
-            raise ValueError('origin needs  kind = "cylindrical"')
+            raise invalid_value_error(
+                'origin needs  kind = "cylindrical"', None, hint='write  kind = "cylindrical"'
+            )
         first = np.asarray(self.x or (1.0, 0.0, 0.0))
         if not first.any():
-            raise ValueError("x has no length")
+            raise invalid_value_error(
+                "x has no length", None, hint="write for example  x = [1, 0, 0]"
+            )
         if abs(first @ self.z) > 1e-6 * np.linalg.norm(first) * np.linalg.norm(self.z):
             problem = "x and z are not perpendicular"
-            raise ValueError(problem if self.x else f"{problem}: state x beside z")
+            raise invalid_value_error(
+                problem if self.x else f"{problem}: state x beside z",
+                None,
+                hint="write for example  x = [1, 0, 0]  and  z = [0, 0, 1]",
+            )
         return self
 
     @property
@@ -322,12 +356,18 @@ class BodyKeys(MeshKeys):
     def _check_consistency(self, info: ValidationInfo) -> BodyKeys:
         stray = set(self.poling) - set(self.materials)
         if stray:
-            raise ValueError(
-                f"poling contains groups without a material: {', '.join(sorted(stray))}"
+            raise invalid_value_error(
+                f"poling contains groups without a material: {', '.join(sorted(stray))}",
+                None,
+                hint=f"add a material for {min(stray)}, or delete poling.{min(stray)}",
             )
         stray = set(self.axes) - set(self.materials)
         if stray:
-            raise ValueError(f"axes contains groups without a material: {', '.join(sorted(stray))}")
+            raise invalid_value_error(
+                f"axes contains groups without a material: {', '.join(sorted(stray))}",
+                None,
+                hint=f"add a material for {min(stray)}, or delete axes.{min(stray)}",
+            )
         both = set(self.axes) & set(self.poling)
         if both:
             raise ValueError(
@@ -338,10 +378,14 @@ class BodyKeys(MeshKeys):
                 raise ValueError(f"poling of {group}: {item.contradiction}")
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
-            raise ValueError("poling has no direction")
+            raise invalid_value_error(
+                "poling has no direction", None, hint="write for example  [0, 0, 1]"
+            )
         if len(self.electrodes) == 1:
-            raise ValueError(
-                "the reference electrode is missing: a body needs at least two electrodes"
+            raise invalid_value_error(
+                "the reference electrode is missing: a body needs at least two electrodes",
+                None,
+                hint='add for example  cathode = "GROUP"  to electrodes, with a group of faces',
             )
         if not self.electrodes and not self.ports:
             raise invalid_value_error(
@@ -352,8 +396,10 @@ class BodyKeys(MeshKeys):
         names = Counter([*names_of(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise ValueError(
-                f"several ports or electrodes have the same name: {', '.join(sorted(twice))}"
+            raise invalid_value_error(
+                f"several ports or electrodes have the same name: {', '.join(sorted(twice))}",
+                None,
+                hint=f"rename one of the ports or electrodes {twice[0]}",
             )
         return self
 

@@ -25,7 +25,15 @@ from kc2spice.bodies.device import Block, BondedBlocks, Box, outer_faces
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validate
+from kc2spice.core.quantities import (
+    Length,
+    Ratio,
+    Section,
+    Thickness,
+    Width,
+    invalid_value_error,
+    validate,
+)
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -84,16 +92,22 @@ class DiscLayer(Section):
     def _require_possible(self) -> DiscLayer:
         largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
-            raise ValueError(
-                f"an electrode is larger than its layer, whose diameter is {self.diameter:g} m"
+            raise invalid_value_error(
+                f"an electrode is larger than its layer, whose diameter is {self.diameter:g} m",
+                None,
+                hint=f"lower electrodes to at most {self.diameter:g} m",
             )
         if ring is not None:
             inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
             filled = inner <= 0 and outer >= largest / 2
             if filled or not ring.inner < ring.outer <= largest:
-                raise ValueError(
-                    "the feedback electrode does not fit: inner must be less than outer, and "
-                    f"outer at most {largest:g} m, and a part of the main electrode must remain"
+                raise invalid_value_error(
+                    (
+                        "the feedback electrode does not fit: inner must be less than outer, and "
+                        f"outer at most {largest:g} m, and a part of the main electrode must remain"
+                    ),
+                    None,
+                    hint=f"lower feedback.outer below {largest:g} m",
                 )
         return self
 
@@ -137,12 +151,16 @@ class DiscKeys(FieldKeys):
     def _require_possible(self) -> DiscKeys:
         widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, Node) and self.support.node > widest:
-            raise ValueError(
-                f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m"
+            raise invalid_value_error(
+                f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m",
+                None,
+                hint=f"lower support.node below {widest:g} m",
             )
         if self.centre is not None and self.centre > top * (1 + 1e-9):
-            raise ValueError(
-                f"centre: the port is wider than the top layer, whose diameter is {top:g} m"
+            raise invalid_value_error(
+                f"centre: the port is wider than the top layer, whose diameter is {top:g} m",
+                None,
+                hint=f"lower centre to at most {top:g} m",
             )
         return self
 

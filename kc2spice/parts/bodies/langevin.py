@@ -26,6 +26,7 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
+    invalid_value_error,
     validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
@@ -67,11 +68,17 @@ class Rings(Piece):
     @model_validator(mode="after")
     def _require_possible(self) -> Rings:
         if self.count % 2:
-            raise ValueError(
-                "the number of rings is odd, so that the bolt connects the anode to the cathode"
+            raise invalid_value_error(
+                "the number of rings is odd, so that the bolt connects the anode to the cathode",
+                None,
+                hint=f"write count = {self.count + 1}",
             )
         if self.inner >= self.outer:
-            raise ValueError("the inner diameter is not smaller than the outer diameter")
+            raise invalid_value_error(
+                "the inner diameter is not smaller than the outer diameter",
+                None,
+                hint=f"lower inner below {self.outer:g} m, or exchange inner and outer",
+            )
         return self
 
 
@@ -99,7 +106,11 @@ class Bolt(Piece):
     @model_validator(mode="after")
     def _require_possible_head(self) -> Bolt:
         if (self.head_diameter is None) != (self.head_length is None):
-            raise ValueError("head_diameter and head_length must be used together")
+            raise invalid_value_error(
+                "head_diameter and head_length must be used together",
+                None,
+                hint="add the missing one of the two keys",
+            )
         return self
 
 
@@ -132,7 +143,16 @@ class LangevinKeys(FieldKeys):
         }
         for problem, applies in wrong.items():
             if applies:
-                raise ValueError(problem)
+                key = problem.partition(":")[0]
+                action = "lower" if key in ("bolt.depth", "rings.inner") else "correct"
+                smaller = f"{action} {key}"
+                if problem.startswith("bolt.diameter"):
+                    smaller = (
+                        f"lower bolt.diameter below {min(inner, *(m.diameter for m in masses)):g} m"
+                    )
+                elif key == "bolt.head_diameter":
+                    smaller = f"raise bolt.head_diameter above {bolt.diameter:g} m"
+                raise invalid_value_error(problem, None, hint=smaller)
         return self
 
 

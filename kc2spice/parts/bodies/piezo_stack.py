@@ -16,7 +16,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
-from kc2spice.core.quantities import Count, Section, Time, Voltage, si
+from kc2spice.core.quantities import Count, Section, Time, Voltage, invalid_value_error, si
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, reduction_target
@@ -101,7 +101,11 @@ class Drive(Section):
     @model_validator(mode="after")
     def _require_visible_edges(self) -> Drive:
         if self.edge > self.width:
-            raise ValueError("the pulse has an edge that is longer than its width")
+            raise invalid_value_error(
+                "the pulse has an edge that is longer than its width",
+                None,
+                hint=f"lower edge to {self.width / 10:g} s",
+            )
         return self
 
 
@@ -137,12 +141,20 @@ class Stack(Chip, FieldKeys):
     @model_validator(mode="after")
     def _require_possible(self) -> Stack:
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
-            raise ValueError(
-                "fields need linear elements of one layer each: mesh.order = 1, "
-                "mesh.layers_per_element = 1"
+            raise invalid_value_error(
+                (
+                    "fields need linear elements of one layer each: mesh.order = 1, "
+                    "mesh.layers_per_element = 1"
+                ),
+                None,
+                hint="write  mesh = { order = 1, layers_per_element = 1 }",
             )
         if self.driver and self.electrical != "driven":
-            raise ValueError('the key driver needs electrical = "driven"')
+            raise invalid_value_error(
+                'the key driver needs electrical = "driven"',
+                None,
+                hint='write  electrical = "driven"',
+            )
         return self
 
 

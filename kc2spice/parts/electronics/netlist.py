@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
-from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.laws import MissingEquations
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
@@ -98,6 +98,14 @@ class NetlistKeys(Section):
     )
 
 
+# Units of the potential at a pin, and the kind of the pin.
+_UNITS_OF_PINS = {
+    "K": "K/W", "degC": "K/W", "C": "K/W", "V": "V/A", "A": "V/A", "um": "um/N", "m": "um/N",
+    "mm": "um/N", "N": "um/N", "m/s": "m/s/N", "Pa": "Pa/cm3/s", "rad": "rad/Nm",
+    "m/s2": "m/s2/N", "W": "K/W",
+}  # fmt: skip
+
+
 class Netlist(PartType[NetlistKeys]):
     """Part type ``netlist``: the user's own subcircuit."""
 
@@ -131,10 +139,13 @@ class Netlist(PartType[NetlistKeys]):
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in PIN_KINDS:
-                expected = f"one of {', '.join(PIN_KINDS)} for one of {', '.join(pins)}"
-                yield part.wrong(
-                    f"units.{name}", "this unit of a pin is not supported", repr(kind), expected
-                )
+                where, message = f"units.{name}", "this unit of a pin is not supported"
+                error = unknown(message, kind, PIN_KINDS, advice="write one of these units")
+                if name not in pins:
+                    error = unknown("the subcircuit has no such pin", name, pins)
+                elif (meant := _UNITS_OF_PINS.get(kind)) is not None:
+                    error.hint = f'write  {name} = "{meant}"'
+                yield part.wrong(where, error.message, error.got, error.expected, error.hint)
         scope = None
         for name, node in _probe_names(part, scene):
             scope = scope or _read_subcircuit(part, scene)

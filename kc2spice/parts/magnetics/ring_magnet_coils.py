@@ -244,13 +244,19 @@ class RingMagnetCoils(TouchablePart[Coils]):
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
-            yield part.wrong("y_min", "the range of positions is empty", got, "y_min < y_max")
+            yield part.wrong(
+                "y_min",
+                "the range of positions is empty",
+                got,
+                "y_min < y_max",
+                "exchange y_min and y_max",
+            )
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
             # Part, key, meaning, and the limit of another part, with the required order of both
             # values.
             rules = (
-                ("no material left", "inner", body.inner < body.outer,
+                ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
                 ("the sphere does not fit through", "inner", body.inner > radius,
                  f"more than {ball.name}.radius", radius),
@@ -266,7 +272,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-                yield part.wrong(other_name, f"this body overlaps {name}.{body_name}")
+                hint = f"move {other_name}.y by at least {_overlap(body, other):g} m"
+                yield part.wrong(other_name, f"this body overlaps {name}.{body_name}", hint=hint)
         resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
             got, expected = (
@@ -627,6 +634,11 @@ def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
 def _format_end(height: float) -> str:
     """Return an end [mm] of a force table that contains a height [m] of the sphere, as text."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
+
+
+def _overlap(a: Ring, b: Ring) -> float:
+    """Return the height [m] along which two rings overlap."""
+    return (a.height + b.height) / 2 - abs(a.y - b.y)
 
 
 def _format_height(height: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -132,9 +133,11 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
                 raise MissingToolError(
                     "no Dask scheduler with workers answers",
                     where="--dask",
-                    got=address,
-                    expected="an address such as tcp://host:8786, or local",
-                    hint=f"{type(error).__name__}: {error}".splitlines()[0][:200],
+                    got=f"{address}: {error}".splitlines()[0][:200],
+                    expected="the address of a running scheduler, such as tcp://host:8786",
+                    hint=f"write --dask tcp://{address}:8786"
+                    if re.fullmatch(r"[\w.-]+", address)
+                    else "start a scheduler and a worker, or write --dask local",
                 ) from None
             yield client.get_executor(pure=False, retries=0), sum(client.nthreads().values())
 
