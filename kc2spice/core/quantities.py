@@ -169,6 +169,9 @@ def _explain_invalid(
             entry = not full_path or isinstance(full_path[-1], int)  # the value is a list entry
             table = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
             hint = f"write a table {table} with its keys"
+            text_key = _find_choice_key(schema, path, details["input"])
+            if text_key is not None and len(full_path) == 1:
+                hint = f'write  [{full_path[0]}]  and below it  {text_key} = "{details["input"]}"'
             if not isinstance(details["input"], (Mapping, list)) and len(full_path) > 1:
                 hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
                 if isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
@@ -185,7 +188,10 @@ def _explain_invalid(
             one = (
                 " … " if keys is None else f"{{ {keys} }}"
             )  # the user wrote a table, but the schema requires a list of tables
-            return "not a list", f"a list, {full_path[-1]} = [{one}]", None
+            hint = f"write  {full_path[-1]} = [{one}]" if keys is None else (
+                f"write one table for each entry:  {full_path[-1]} = [{_format_toml(entered)}]"
+            )  # fmt: skip
+            return "not a list", f"a list, {full_path[-1]} = [{one}]", hint
         case "too_short" | "too_long" as kind:
             too_short = kind == "too_short"
             count = context["min_length" if too_short else "max_length"]
@@ -419,6 +425,14 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
     required = [name for name, field in fields.items() if field.is_required()]
     if len(required) == 1 and fields[required[0]].annotation is str:
         return required[0]
+    return None
+
+
+def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
+    """Return the key of the table at ``path`` one of whose choices is ``value``."""
+    for name, field in _find_schema(schema, (*path, "")).model_fields.items():
+        if get_origin(field.annotation) is Literal and value in get_args(field.annotation):
+            return name
     return None
 
 
@@ -692,6 +706,18 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         with contextlib.suppress(ValueError):
             _parse_quantity(f"{begun[1]} {symbol}", si)
             return f'write  "{begun[1]} {symbol}"'
+    # a prefix in place of the decimal point, as on drawings of circuits: 4k7
+    if split := re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", value.strip()):
+        prefix = "" if split[2] in "RΩ" else split[2]
+        return f'write  "{split[1]}.{split[3]} {prefix}{si}"'
+    # a unit with wrong letter case, and its prefix as typed
+    if begun is not None and si and begun[2].lower().endswith(si.lower()):
+        prefix = begun[2][: -len(si)]
+        prefix = "M" if (prefix, si) == ("m", "Hz") else prefix  # mhz means megahertz
+        text = f"{begun[1]} {prefix}{si}"
+        with contextlib.suppress(ValueError):
+            _parse_quantity(text, si)
+            return f'write  "{text}"'
     power = re.fullmatch(r"(m)([23])", si)
     if begun is not None and power and _parse_unit(begun[2]) == _parse_unit(f"{begun[2][:-1]}m"):
         return f'write  "{begun[1]} {begun[2]}{power[2]}"'  # a length in place of an area

@@ -24,7 +24,7 @@ import numpy as np
 from skfem.mesh import Mesh
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown, wrong
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
@@ -197,7 +197,14 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     the body for several units.
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
-        return quantity(f"1 {unit or 'mm'}", "m", where="unit")
+        try:
+            return quantity(f"1 {unit or 'mm'}", "m", where="unit")
+        except UsageError as error:
+            near = re.search(r'"1 (\w+)"', error.hint or "")
+            hint = f'write  unit = "{near[1] if near else "mm"}"'
+            problem = "this text is not a unit of length"
+            accepted = f"one of {', '.join(LENGTH_UNITS_ACCEPTED)}"
+            raise wrong("unit", problem, repr(unit), accepted, hint) from error
     sides = measure_extent(path)
 
     def in_millimetres(scale: float) -> str:
@@ -301,9 +308,10 @@ def _read_content(path: Path) -> bytes:
         data = read_bounded(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
-            expected = f"a mesh or CAD file: {', '.join(FILE_FORMATS)}"
-            hint = f"copy the file to {path}, or correct the key mesh"
-            raise wrong(str(path), "this file does not exist", None, expected, hint) from None
+            expected = f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}"
+            near = did_you_mean(path.stem, (item.stem for item in path.parent.glob("*.*")))
+            hint = near or f"copy {path.name} into the folder {path.parent}"
+            raise wrong(path.name, "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
         hint = f"check the permissions and the size of {path}"
         raise wrong(str(path), f"this file cannot be read: {reason}", None, None, hint) from None
@@ -338,7 +346,9 @@ def _assemble_mesh(
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
             problem = "the nodes of the axisymmetric mesh are not in one plane"
-            raise wrong(where, problem, expected="all nodes at z = 0, or all at y = 0")
+            expected = "all nodes at z = 0, or all at y = 0"
+            hint = "delete axisymmetric, because this mesh is not a plane section"
+            raise wrong(Path(where).name, problem, expected=expected, hint=hint)
         points = points[:, [0, 3 - flat[0]]]
     blocks = []
     for k, corners in enumerate(arrays["corners"]):

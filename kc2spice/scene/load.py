@@ -340,7 +340,10 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
         "unknown key",
         where=name,
         expected=f"one of {list_candidates(name, Frame.model_fields)}, or a table with part = TYPE",
-        hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, part_keys) or below,
+        hint=did_you_mean(name, Frame.model_fields)
+        or (f"write {name} below [analysis]" if name in Analysis.model_fields else None)
+        or did_you_mean(name, part_keys)
+        or below,
     )
 
 

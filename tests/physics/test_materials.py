@@ -101,8 +101,8 @@ PZT = {
     ("table", "says"),
     [
         ("PZT-5B", "this material does not exist"),
-        (STEEL | {"poisson_ratio": 0.51}, "not positive definite"),
-        (STEEL | {"poisson_ratio": -1}, "positive"),
+        (STEEL | {"poisson_ratio": 0.51}, "Poisson ratio"),
+        (STEEL | {"poisson_ratio": -1}, "Poisson ratio"),
         (STEEL | {"youngs_modulus": 210}, "outside of the range of all materials"),
         (STEEL | {"youngs_modulus": "210 GHz"}, "wrong unit"),
         (STEEL | {"youngs_modulus": [1e9, 2e9]}, "do not define an elastic material"),

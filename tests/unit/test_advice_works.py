@@ -292,6 +292,10 @@ def test_names_of_other_programs(cli):
         ("7.75 g/cc", "kg/m3", "7750 kg/m3"),
         ("0.8 cm", "m3", "0.8 cm3"),
         ("3 mm", "m2", "3 mm2"),
+        ("4k7", "Ohm", "4.7 kOhm"),
+        ("2R2", "Ohm", "2.2 Ohm"),
+        ("100 nf", "F", "100 nF"),
+        ("1 mhz", "Hz", "1 MHz"),
     ],
 )
 def test_units_outside_of_the_si_are_converted(typed, unit, advice):
@@ -359,3 +363,24 @@ def test_voltages_of_a_relay_in_the_wrong_order():
         kc.load_scene({"k": RELAY | {"pick_up": "0.5 V", "release": "3 V"}, "d": DRIVE})
     assert 'pick_up = "3 V" and release = "0.5 V"' in caught.value.hint
     kc.load_scene({"k": RELAY | {"pick_up": "3 V", "release": "0.5 V"}, "d": DRIVE})
+
+
+def test_keys_of_the_analysis_at_the_top_of_a_scene(cli):
+    Path("own.toml").write_text('stop = "1 s"\n' + DIVIDER)
+    assert rows(cli("run", "own.toml").stderr)["next"] == "write stop below [analysis]"
+    text = DIVIDER.replace('[analysis]\ntype = "op"\n', "")
+    Path("own.toml").write_text('analysis = "op"\n' + text)
+    found = rows(cli("run", "own.toml").stderr)
+    assert found["next"] == 'write  [analysis]  and below it  type = "op"'
+
+
+def test_a_missing_mesh_file_and_an_unknown_unit(cli):
+    port = 'ports = [{ name = "tip", group = "topel", axis = "z" }]\n'
+    source = 'kind = "force"\nac = "1 N"\npins = { out = "u.tip" }'
+    scene = BODY.format(ceramic="steel", source=source).replace("fixed", f"{port}fixed")
+    Path("own.toml").write_text(scene)
+    found = rows(cli("run", "own.toml").stderr)
+    assert found["next"].startswith("copy u.msh into the folder")
+    Path("u.msh").write_text(MESH.read_text())
+    Path("own.toml").write_text(scene.replace('"mm"', '"millimetre"'))
+    assert rows(cli("run", "own.toml").stderr)["next"] == 'write  unit = "mm"'
