@@ -30,7 +30,8 @@ def radiation_impedance(frequency):
 
 
 def test_a_driven_cone_moves_against_its_mass_and_the_air():
-    waves = kc.run(CONE).waves
+    result = kc.run(CONE)
+    waves = result.waves
     s = 2j * np.pi * waves["frequency"].real
     velocity = FORCE / (s * MASS + AREA**2 * radiation_impedance(waves["frequency"].real))
     exact = velocity / s
@@ -38,6 +39,8 @@ def test_a_driven_cone_moves_against_its_mass_and_the_air():
     pressure = AREA * velocity * radiation_impedance(waves["frequency"].real)
     assert np.abs(waves["air.pressure"] / pressure - 1).max() < 3e-3
     assert np.abs(waves["cone.flow"] / -(AREA * velocity) - 1).max() < 1e-3
+    (panel,) = result.figures["cone_displacement"].panels
+    assert panel.curves[0].y[0] == pytest.approx(1e3 * abs(exact[0]), rel=1e-3)  # in mm
 
 
 def test_a_cone_that_moves_forwards_draws_in_fluid_at_the_rear():

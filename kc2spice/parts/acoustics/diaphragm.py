@@ -10,16 +10,20 @@ The area is an ideal transformer between the mechanical and the acoustic network
 T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
 """
 
+from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import Field
 
+from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Mass, Section, si
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.parts.acoustics._displacement_figure import plot_displacements
 from kc2spice.parts.acoustics._fluids import LARGEST_AREA, SMALLEST_AREA
 from kc2spice.physics import Declaration, branch, displacement
 from kc2spice.physics.part_with_mass import DeclaredPartWithMass
-from kc2spice.scene.model import Part, WiredScene
+from kc2spice.scene.model import Build, Part, WiredScene
 from kc2spice.scene.parttype import register
 
 
@@ -88,6 +92,15 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
             starts={"m": ("0", "0")},
             given=(positive_parameter("mass", part.keys.mass, "kg", "mass of the diaphragm"),),
         )
+
+    def figures(
+        self, part: Part[DiaphragmKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Figure]:
+        """Yield the figure of the displacement."""
+        x = waves.data.get(f"{part.name}.x")
+        if x is not None:
+            caption = "Displacement of the diaphragm."
+            yield from plot_displacements(part.name, waves, {"": x}, caption)
 
 
 register(Diaphragm(DIAPHRAGM))
