@@ -1,6 +1,4 @@
-"""Declarations of physics as expressions, and the netlists, laws and checks that are generated from
-them.
-"""
+"""Part types declared by expressions, from which netlists, laws and checks are generated."""
 
 from kc2spice.physics.declaration import Declaration as Declaration
 from kc2spice.physics.declaration import branch as branch

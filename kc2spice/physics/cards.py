@@ -1,7 +1,7 @@
-"""A declaration as a subcircuit: one source of current or voltage a branch.
+"""Netlist cards of a declaration, with a source of current or voltage for each branch.
 
-Inside, 1 V between pins is the unit of their domain, such as 1 um; other nodes are in SI. A time
-derivative is the current of a capacitor that a source charges.
+At the pins, 1 V represents the unit of the domain, such as 1 um; at inner nodes, 1 V represents the
+SI unit. A time derivative is the current of a capacitor whose voltage a source sets.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from kc2spice.physics.symbolic import (
     add_trees,
     differentiate_tree,
     divide_trees,
+    find_kinks,
     format_tree,
     is_affine,
-    kinks,
     multiply_trees,
     names,
     subtract_trees,
@@ -51,7 +51,7 @@ from kc2spice.physics.symbolic import (
 
 _UNIT_CAPACITANCE = "1e-06"
 NO_TABLES: Mapping[str, TableFunction] = MappingProxyType({})
-_EDGE_SWITCH = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
+_KINK_SWITCH = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _TIME_INTEGRALS = {
     "current": ("charge", "coulombs"),
     "voltage": ("flux", "webers"),
@@ -101,13 +101,13 @@ def subcircuit_items(
 ) -> tuple[Item, ...]:
     """Return the cards between ``.subckt`` and ``.ends``, with their comments.
 
-    ``tables`` are the tables of the declaration and their slopes.
+    ``tables`` contains the tables of the declaration, and the derivatives of these tables.
     """
     return attach_comments(_write_items(declaration, noise, tables))
 
 
 def has_losses(declaration: Declaration) -> bool:
-    """Whether any branch has a resistance, conductance or damping."""
+    """Return whether any branch has a resistance, a conductance or damping."""
     return any(declaration.loss_coefficient(b) != ZERO for b in declaration.acting_branches)
 
 
@@ -121,7 +121,7 @@ def _write_items(
     linkages = find_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
-        nodes = {**nodes, **lookups.node_trees(), **_single_voltages(declaration, linkages)}
+        nodes = {**nodes, **lookups.node_trees(), **_inner_voltages(declaration, linkages)}
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* power series {name}"
@@ -145,7 +145,7 @@ def _write_items(
         if (loss := declaration.loss_coefficient(branch)) != ZERO:
             source = CircuitVariable("v", (f"noise_{branch.name}", branch.minus))
             added[branch.name] = multiply_trees(source, Call("sqrt", (loss,)))
-            yield _comment("noise", branch, loss=format_tree(loss))
+            yield _format_comment("noise", branch, loss=format_tree(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
     if linkages:
         yield from _write_linkages(linkages, lookups, nodes)
@@ -156,17 +156,17 @@ def _write_items(
         else:
             make = _write_flux if branch.flows else _write_charge
             yield from make(declaration, branch, nodes, added[branch.name])
-    yield from _write_edges(declaration, nodes)
+    yield from _write_kink_switches(declaration, nodes)
     for name, tree in declaration.output_trees.items():
         yield f"* {_FLOW_COMMENTS['output'].format(plus=name, words=format_tree(tree))}"
         yield from _write_node(name, multiply_trees(Number("1e6"), tree), nodes, rest)
 
 
-def _single_voltages(declaration: Declaration, linkages: Linkages | None) -> dict[str, Tree]:
-    """Return inner nodes beside lookups as voltages to ground.
+def _inner_voltages(declaration: Declaration, linkages: Linkages | None) -> dict[str, Tree]:
+    """Return the voltages to ground of the inner nodes of a part with lookups.
 
-    A source of single voltages is evaluated faster. The reference pin of a part with tables is at
-    0 V.
+    The reference pin of a part with lookups is at 0 V. ngspice evaluates the voltage of one node
+    faster than a difference of two nodes.
     """
     inner = inner_nodes(declaration)
     for name in linkages.current_names if linkages else ():
@@ -175,11 +175,11 @@ def _single_voltages(declaration: Declaration, linkages: Linkages | None) -> dic
 
 
 def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tree, ...]:
-    """Return forces and voltages of motion, the laws that may contain tables.
+    """Return the laws that may contain tables: forces, and voltages due to motion.
 
     Raises
     ------
-    UsageError : a table in another law.
+    UsageError : another law contains a table.
     """
     others = [*declaration.signal_trees.values(), *declaration.state_rates.values()]
     for b in declaration.stationary_branches:
@@ -198,7 +198,7 @@ def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tre
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Write the cells of the lookups, and lookups that several laws use."""
+    """Yield the cards of the lookups' common cell, and of lookups that several laws use."""
     base = lookups.base
     yield from map("* {}".format, wrap(_FLOW_COMMENTS["lookup"].format(points=lookups.points), 96))
     yield Parameters(
@@ -217,14 +217,14 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
     )
     yield Element.of(f"R{WEIGHT_NODE}", WEIGHT_NODE, base, "1")
     for calls in lookups.repeated:
-        yield f"* {lookups.describe(calls)}"
-        values = lookups.values(weighted_sum(calls))
+        yield f"* {lookups.describe_lookup(calls)}"
+        values = lookups.tabulate(weighted_sum(calls))
         yield from _write_lookup(lookups.labels[calls], lookups, values)
 
 
 def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
-    """Write a node with the value of a lookup."""
-    law = format_tree(lookups.interpolate(values))
+    """Yield the cards of a node whose voltage is the value of a lookup."""
+    law = format_tree(lookups.interpolation_expression(values))
     yield Element.behaviour(f"B{name}", lookups.base, name, "I", law)
     yield Element.of(f"R{name}", name, lookups.base, "1")
 
@@ -232,10 +232,10 @@ def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[L
 def _write_linkages(
     linkages: Linkages, lookups: Lookups, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Write currents whose flux linkages are states.
+    """Yield the cards of currents that are functions of flux linkages.
 
-    The means of the inverse inductances are separate cards, because every lookup is 0 V before the
-    first solution.
+    The flux linkages are states. The means of the inverse inductances are separate cards, because
+    every lookup is 0 V before the first solution.
     """
     henry, inverse = linkages.invert(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
@@ -244,10 +244,10 @@ def _write_linkages(
         yield f"* {name}: {henry:.6g} H times the inverse inductances, minus their mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
-        motion = substitute_names(add_trees(*lookups.split(linkages.motion_voltages[k])), nodes)
+        motion = substitute_names(add_trees(*lookups.split_law(linkages.motion_voltages[k])), nodes)
         yield from _write_linkage(linkages.declaration, branch, henry, format_tree(motion), nodes)
         n, base, terms = branch.name, lookups.base, []
-        yield _comment("current", branch, node=n)
+        yield _format_comment("current", branch, node=n)
         for l, other in enumerate(linkages.branches):
             linkage = f"l_{other.name}"
             yield Element.of(f"G{n}_{other.name}", base, n, linkage, base, float(mean[k, l]))
@@ -257,14 +257,14 @@ def _write_linkages(
 
 
 def _inverse_node(k: int, l: int) -> str:
-    """Node of an element of the inverse of the inductances."""
+    """Return the node of the element (k, l) of the inverse inductance matrix."""
     return f"lookup_g{min(k, l) + 1}{max(k, l) + 1}"
 
 
 def _write_linkage(
     declaration: Declaration, b: Branch, henry: float, motion: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Write the resistance of a branch, and the flux linkage as a state."""
+    """Yield the cards of the resistance and of the flux linkage of a branch."""
     n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
     resistance = differentiate_tree(drop, n)
@@ -275,7 +275,7 @@ def _write_linkage(
             where=declaration.name,
             got=format_tree(drop),
         )
-    yield _comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
+    yield _format_comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
     if varying:
         law = divide_trees(CircuitVariable("v", (b.plus, inner)), resistance)
         yield Element.behaviour(
@@ -290,7 +290,7 @@ def _write_linkage(
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
-    """Write a node with the value of ``tree``."""
+    """Yield the cards of a node whose voltage is the value of ``tree``."""
     yield from _write_current(name, (base, name), tree, nodes)
     yield Element.of(f"R{name}", name, base, "1")
 
@@ -298,14 +298,15 @@ def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> 
 def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Write a current from one node to another.
+    """Yield the cards of a current from the first to the second of the nodes ``ends``.
 
-    An affine current consists of linear sources, which ngspice need not differentiate.
+    For an affine expression, the cards are linear sources, which need no differentiation in
+    ngspice.
     """
     start, end = ends
     dependencies = sorted(names(tree) & set(nodes))
-    voltages = [_only_voltage(nodes[item]) for item in dependencies]
-    smooth = not kinks(tree) and not _circuit_variables(tree)
+    voltages = [_find_single_voltage(nodes[item]) for item in dependencies]
+    smooth = not find_kinks(tree) and not _circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
         yield Element.behaviour(
             f"B{name}", start, end, "I", format_tree(substitute_names(tree, nodes))
@@ -323,12 +324,12 @@ def _write_current(
 
 
 def _circuit_variables(tree: Tree) -> list[CircuitVariable]:
-    """Voltages and currents in an expression."""
+    """Return the node voltages and source currents in an expression."""
     return [node for node in walk_tree(tree) if isinstance(node, CircuitVariable)]
 
 
-def _only_voltage(tree: Tree) -> tuple[str, ...]:
-    """Nodes of the voltage that is the only variable in ``tree``, none if there are others."""
+def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
+    """Return the nodes of the only voltage in ``tree``; empty for several variables."""
     variables = _circuit_variables(tree)
     if len(variables) == 1 and variables[0].kind == "v":
         return (*variables[0].names, "0")[:2]
@@ -336,15 +337,16 @@ def _only_voltage(tree: Tree) -> tuple[str, ...]:
 
 
 def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Write a mass: its velocity is a voltage, the mass a capacitance, the position an integral.
+    """Yield the cards of a mass, whose velocity is the voltage of a capacitor.
 
-    Unless the velocity is a pin, the force of the pins is a node and also a current, whose
-    tolerance is tighter.
+    The capacitance represents the mass, and the position is the integral of the velocity. If the
+    velocity is no pin, the force at the pins is both a node voltage and a current, because the
+    tolerance of the current is tighter.
     """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
     start, fast = declaration.starts[n]
-    yield _comment("mass", b, speed=v, place=place)
+    yield _format_comment("mass", b, speed=v, place=place)
     end = base if speed else f"pushed_{n}"
     yield Element.of(f"Cplace_{n}", place, base, _UNIT_CAPACITANCE, IC=f"{{{start}*1e6}}")
     yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
@@ -358,11 +360,11 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(still)}}}")
     for other in shaken:
         share = format_tree(differentiate_tree(weight, other.name))
-        yield _comment("shake", other, speed=v)
+        yield _format_comment("shake", other, speed=v)
         yield Element.of(f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}")
     if not speed:
         yield Element.of(f"Vmass_{n}", end, base, "0")
-        yield _comment("held", b, node=force_node(b), place=place)
+        yield _format_comment("held", b, node=force_node(b), place=place)
         yield Element.of(f"Gheld_{n}", base, force_node(b), b.plus, place, "1")
         yield Element.of(f"G{force_node(b)}", b.plus, base, force_node(b), base, "1")
         yield Element.of(f"Gpush_{n}", base, v, force_node(b), base, "1")
@@ -376,7 +378,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
-    """Return the expression of each coordinate, rate, state and signal in node voltages."""
+    """Return each coordinate, rate, state and signal as an expression of node voltages."""
     rest = reference_pin_name(declaration)
     series = declaration.power_series.values()
     inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
@@ -400,13 +402,13 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
 
 
 def _pin_velocity(declaration: Declaration, pin: str) -> Tree:
-    """Voltage of the velocity node of a pin, zero without such a node."""
+    """Return the voltage of a pin's velocity node; zero if there is no such node."""
     speed = declaration.speeds.get(pin)
     return CircuitVariable("v", (speed,)) if speed else ZERO
 
 
 def inner_nodes(declaration: Declaration) -> dict[str, str]:
-    """Nodes of signals and states by their names."""
+    """Return the nodes of signals and states, keyed by the names of signals and states."""
     result = dict(zip(declaration.signals, declaration.signals, strict=True))
     for name in declaration.states:
         result[name] = state_node(name)
@@ -414,7 +416,7 @@ def inner_nodes(declaration: Declaration) -> dict[str, str]:
 
 
 def coordinate_quantity(b: Branch) -> Quantity:
-    """Physical quantity of the coordinate of a branch."""
+    """Return the physical quantity of a branch's coordinate."""
     domain, side = QUANTITIES[b.kind]
     return domain.quantity(side)
 
@@ -425,50 +427,50 @@ def _scale_to_si(tree: Tree, factor: float) -> Tree:
 
 
 def _format_power_of_ten(value: float) -> Number:
-    """Return a power of ten as netlists write it: 1e-6, not 1e-06."""
+    """Return a power of ten in the spelling of netlists: 1e-6, not 1e-06."""
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 
 def _coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Nodes whose voltage is the coordinate of a branch."""
+    """Return the two nodes between which the voltage is the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
     return (f"x_{b.name}", reference_pin_name(declaration)) if separate else (b.plus, b.minus)
 
 
 def reference_pin_name(declaration: Declaration) -> str:
-    """Name of the pin to which loops and inner nodes refer."""
+    """Return the name of the pin that is the reference of loops and inner nodes."""
     pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open_branches[0].minus
 
 
 def meter_name(branch: Branch) -> str:
-    """Name of the 0 V source that measures the current of a branch."""
+    """Return the name of the 0 V source that measures the current of a branch."""
     return f"Vmeter_{branch.name}"
 
 
 def state_node(name: str) -> str:
-    """Node of a state, in its SI unit."""
+    """Return the node whose voltage is a state, in SI units."""
     return f"state_{name}"
 
 
 def force_node(branch: Branch) -> str:
-    """Node of the force of a displacement."""
+    """Return the node whose voltage is the force of a displacement branch."""
     return f"f_{branch.name}"
 
 
-def _comment(kind: str, branch: Branch, **words: str) -> str:
-    """Return the comment on the flow of a branch."""
+def _format_comment(kind: str, branch: Branch, **words: str) -> str:
+    """Return the comment of this ``kind`` about the flow of a branch."""
     return f"* {_FLOW_COMMENTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
 def _time_integral(quantity: Quantity) -> tuple[str, str]:
-    """Name and SI unit of the time integral of a quantity."""
+    """Return the name and the SI unit of the time integral of a quantity."""
     plain = quantity.name.replace("_", " ")
     return _TIME_INTEGRALS.get(quantity.name, (f"integral of the {plain}", f"{quantity.unit} s"))
 
 
 def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Write the signals, then the states."""
+    """Yield the cards of the signals, then of the states."""
     base = reference_pin_name(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {format_tree(tree)}"
@@ -488,38 +490,40 @@ def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) 
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
-    """Write ``Vrate_NAME``, whose current is 1e-6 times the rate of the node's voltage."""
+    """Yield a capacitor and ``Vrate_NAME``, whose current is 1e-6 times the voltage's rate."""
     yield Element.of(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
 def _sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Pins of a displacement; the reference replaces each pin that has a velocity node."""
+    """Return the pins of a displacement; a pin with a velocity node becomes the reference."""
     base = declaration.base or b.minus
     plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
     return plus, minus
 
 
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Write the velocity of pins that have no velocity node."""
+    """Yield the cards that differentiate the displacement of pins without velocity nodes."""
     base = declaration.base or b.minus
     plus, minus = _sensed_pins(declaration, b)
     if plus != minus:
-        yield _comment("rate", replace(b, plus=plus, minus=minus))
+        yield _format_comment("rate", replace(b, plus=plus, minus=minus))
         yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
         yield from _write_differentiator(b.name, f"copy_{b.name}", base)
 
 
 def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Write a node of a coordinate that is not the voltage between two pins.
+    """Yield the cards of a coordinate that is not the voltage between two pins.
 
-    With two lags in series, each a quarter of the time, ``x + lag x'`` is
-    ``x + 4 (2 x - first + second - first)`` to first order in the lag.
+    For a coordinate with a lag, the node has the voltage ``x + lag x'``. Here ``x'`` is estimated
+    by two RC low-pass filters in series, each with the time constant ``lag / 4`` and with the
+    outputs ``first`` and ``second``: ``x + 4 (2 x - first + second - first)``, up to terms of
+    second order in the lag.
     """
     n, base, lag = b.name, reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
-    yield _comment("place", b, node=f"x_{n}", words=words)
+    yield _format_comment("place", b, node=f"x_{n}", words=words)
     yield Element.of(f"G{node}", base, node, b.plus, b.minus, "1")
     if b.less:
         yield Element.of(f"Gless_{n}", node, base, b.less, base, "1")
@@ -538,7 +542,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
 def _write_force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree, lookups: Lookups
 ) -> Iterator[Line]:
-    """Yield the cards of the force of a displacement."""
+    """Yield the cards of the force of a displacement branch."""
     if b in declaration.inertial_branches:
         yield from _write_mass(declaration, b)
         return
@@ -551,9 +555,9 @@ def _write_force(
     across, through = b.domain.across, b.domain.through_variable
     factor = "" if across.factor == 1 else f"{format_tree(_format_power_of_ten(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
-    yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
+    yield _format_comment("force" if metered else "direct", b, node=node, factor=factor, **words)
     yield f"*   {b.through} = {format_tree(declaration.name_power_series(force))}"
-    terms = lookups.split(add_trees(force, noise))
+    terms = lookups.split_law(add_trees(force, noise))
     for k, term in enumerate(terms):
         for label in sorted(names(term) & set(lookups.inline_formulas)):
             yield f"*   the lookup of {lookups.inline_formulas[label]}"
@@ -569,14 +573,14 @@ def _write_force(
 def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Write the stored quantity in units of its derivative at rest, and its rate."""
+    """Yield the cards of a scaled stored quantity, such as a charge, and of its rate."""
     scale = declaration.set_to_rest(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
     moved = _change_by_motion(declaration, stored) if scale == ZERO else scale
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.name_power_series(stored), nodes)
-    if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
+    if not b.flows:  # ngspice adds 1e-32 to scale^2 in the slope of a quotient
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
@@ -586,7 +590,10 @@ def _write_stored_quantity(
 
 
 def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
-    """Change of a stored quantity at rest by 1 um of the first displacement that changes it."""
+    """Return how much a stored quantity changes if a displacement changes by 1 um.
+
+    The other coordinates are at rest. The first displacement with an effect counts.
+    """
     for b in declaration.displacements:
         slope = declaration.set_to_rest(differentiate_tree(stored, b.name))
         if slope != ZERO:
@@ -611,7 +618,7 @@ def _write_charge(
     if charge != ZERO:
         integral, si_unit = _time_integral(b.domain.through_variable)
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
-        yield _comment("charge", b, node=f"q_{b.name}", **words)
+        yield _format_comment("charge", b, node=f"q_{b.name}", **words)
         yield f"*   {integral} = {format_tree(declaration.name_power_series(charge))}"
         yield from _write_stored_quantity(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
@@ -620,7 +627,7 @@ def _write_charge(
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if heating:
-        yield _comment("heat", b)
+        yield _format_comment("heat", b)
     if direct != ZERO or charge == ZERO:
         yield f"*   {b.through} = {format_tree(declaration.name_power_series(direct))}"
         current_law = multiply_trees(unit, declaration.name_power_series(add_trees(direct, noise)))
@@ -642,7 +649,7 @@ def _write_flux(
     if flux != ZERO:
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         words |= {"flow": b.kind.replace("_", " "), "across": across}
-        yield _comment("flux", b, node=f"l_{b.name}", **words)
+        yield _format_comment("flux", b, node=f"l_{b.name}", **words)
         yield f"*   {integral} = {format_tree(declaration.name_power_series(flux))}"
         yield from _write_stored_quantity(declaration, b, flux, f"l_{b.name}", nodes)
         yield Element.of(
@@ -654,12 +661,13 @@ def _write_flux(
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
-def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Write switches at the kinks of laws, so that ngspice puts time points there.
+def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
+    """Yield switches at the kinks of laws, so that ngspice has time points at kinks.
 
-    ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it. A displacement has
-    10 kV per um, a function of states 100 V, so that fast motion reaches the threshold in steps
-    that are not too small. A step across a kink would change the energy of a spring.
+    A step across a kink would change the energy of a spring. ngspice shortens its steps until the
+    control voltage of a switch is within 0.05 V of the threshold. The control voltage is 10 kV per
+    um of displacement, or 100 V per unit of a function of states, so that the steps before fast
+    motion across a kink do not become too small.
     """
     moved = {b.name: b for b in declaration.displacements}
     inner = {*declaration.states, *declaration.signals}
@@ -667,7 +675,7 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
     forces = map(declaration.delayed_flow, declaration.displacements)
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
-    for argument in dict.fromkeys(chain.from_iterable(map(kinks, laws))):
+    for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):
         inputs = names(argument) & {*declaration.coordinates, *inner}
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
@@ -676,7 +684,7 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference_pin_name(declaration))
         yield f"* {_FLOW_COMMENTS['edge'].format(argument=format_tree(argument))}"
-        yield f"* edge {k + 1}" if k else _EDGE_SWITCH
+        yield f"* edge {k + 1}" if k else _KINK_SWITCH
         watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))
         if declaration.metered and b is not None:
             yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", format_tree(watched))

@@ -1,8 +1,9 @@
-"""Two coils and fixed magnets around a moving magnet: one coenergy of height and currents.
+"""Declarations and laws of two coils and fixed magnets around a moving magnet.
 
-Magnetic materials are linear, so at each height the coenergy is a quadratic function of the
-currents, with the powers in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of
-the coenergy are the force and the flux linkages.
+One coenergy is a function of the height of the moving magnet and of both currents. Because the
+magnetic materials are linear, the coenergy at each height is a quadratic function of the currents,
+with the exponents in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of the
+coenergy are the force and the flux linkages.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from kc2spice.physics.symbolic import (
 
 _TABLE_NAMES = tuple(
     map("w{}".format, range(len(CURRENT_EXPONENTS)))
-)  # of the coenergy, over the height
+)  # tables of the coenergy over the height
 _TABLE_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
 _COIL_RESISTANCES = ("resistance_lower", "resistance_upper")
 _HEIGHT_PARAMETERS = ("raised", "y_min", "y_max")
@@ -54,7 +55,7 @@ _HEIGHT_LIMITS = {
 
 
 def _write_coenergy(height: str) -> str:
-    """Write the coenergy [J] of both currents at a height."""
+    """Return the coenergy [J] as an expression of both currents and a height."""
     terms = []
     for table, (a, b) in zip(_TABLE_NAMES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
@@ -63,10 +64,10 @@ def _write_coenergy(height: str) -> str:
 
 @cache
 def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Declare both coils with resistance, inductance and back-EMF.
+    """Return the declaration of both coils with resistance, inductance and back-EMF.
 
-    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper coil. In a
-    netlist the ``height`` is the coordinate ``y`` alone.
+    The pins of the lower coil are ``lp`` and ``ln``, the pins of the upper coil ``up`` and ``un``.
+    In a netlist, the expression ``height`` must be the coordinate ``y``.
     """
     return Declaration(
         "coils",
@@ -83,7 +84,7 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 @cache
 def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Declare one current through both coils, reversed in the lower coil."""
+    """Return the declaration of both coils in series, with reversed current in the lower one."""
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
@@ -91,10 +92,10 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
-    """Return coils with a heat pin, whose resistances follow its temperature.
+    """Return coils with a heat pin, whose temperature determines the resistances.
 
-    If a current is a signal, the pin temperature is measured and divides this signal by the
-    resistance ratio.
+    If a current follows a voltage signal, the signal is divided by the resistance ratio at the
+    temperature of the pin.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
@@ -107,7 +108,7 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
 
 @cache
 def declare_prescribed_currents() -> Declaration:
-    """Declare constant currents ``lower`` and ``upper``."""
+    """Return the declaration of coils with the constant currents ``lower`` and ``upper``."""
     return _declare_force("lower", "upper", ("lower", "upper"), _RAISED_HEIGHT)
 
 
@@ -119,7 +120,7 @@ def _declare_force(
     branches: tuple[Branch, ...] = (),
     **physics: Any,
 ) -> Declaration:
-    """Declare only the force, without the back-EMF in the coils."""
+    """Return the declaration of the force alone, without back-EMF in the coils."""
     currents = {"i1": parse_simplified(i1), "i2": parse_simplified(i2)}
     pull = differentiate_tree(parse_simplified(_write_coenergy(height), tables=_TABLE_NAMES), "y")
     force = substitute_names(subtract_trees(ZERO, pull), currents)
@@ -137,9 +138,7 @@ def _declare_force(
 
 
 def _choose_pins(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return parameters and limits of a law, or the pins of a netlist without parameters and
-    limits.
-    """
+    """Return parameters and limits of a declaration for a law, or none for a netlist."""
     if height == _RAISED_HEIGHT:
         return {"given": _unset_parameters(*_HEIGHT_PARAMETERS, *names), "limits": _HEIGHT_LIMITS}
     return {"given": _unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}
@@ -150,7 +149,7 @@ def _unset_parameters(*names: str) -> tuple[Param, ...]:
 
 
 def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
-    """Return tables of the coenergy and of its slopes for a netlist, with ``points`` heights."""
+    """Return the tables of the coenergy and of its derivatives at ``points`` heights."""
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])
     for order, end in enumerate(("", SLOPE_SUFFIX)):
@@ -168,9 +167,9 @@ def _evaluate_column(functions: PiecewisePolynomial, k: int, y: np.ndarray) -> n
 def make_law(
     name: str, declaration: Declaration, table: EMTable, raised: float = 0.0, **given: float
 ) -> DeclaredLaw:
-    """Make the law of coils with this ``table``.
+    """Make the law of coils with this ``table`` of finite-element solutions.
 
-    The magnet is ``raised`` [m] above its coordinate.
+    The height of the magnet is ``raised`` [m] plus its coordinate.
     """
     known = dict(declaration.defaults)
     known |= dict(zip(_COIL_RESISTANCES, table.resistance.tolist(), strict=True)) | given
@@ -180,7 +179,7 @@ def make_law(
 
 
 def _table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
-    """Functions that the declarations call; all values of one height are calculated once."""
+    """Return the functions that the declarations call; each height is computed only once."""
     result: dict[str, Callable[[float], float]] = {}
     for order, end in enumerate(_TABLE_SUFFIXES):
         values = lru_cache(maxsize=1)(coenergy.slopes[order])

@@ -1,7 +1,8 @@
-"""Keys of parts whose conductors follow the temperature of the pin ``heat``.
+"""Keys of parts with conductors whose resistance depends on the temperature of ``heat``.
 
-The resistance is ``R0 (1 + alpha (T - T0))`` with the temperature coefficient ``alpha``, the rise
-``T`` of the pin over ``ambient`` and the reference ``T0``. A declaration names the conductors.
+The resistance is ``R0 (1 + alpha (T - T0))`` with the temperature coefficient ``alpha``, the
+temperature rise ``T`` of the pin ``heat`` over the pin ``ambient``, and the reference ``T0``. A
+declaration contains the names of the conductors.
 """
 
 from __future__ import annotations
@@ -40,16 +41,16 @@ class ConductorKeys(Section):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **settings: Any) -> None:
-        """Move these keys behind the keys of the part."""
+        """Move the keys of this base class behind the keys of the part."""
         super().__pydantic_init_subclass__(**settings)
         for name in (COEFFICIENT, REFERENCE):
             cls.model_fields[name] = cls.model_fields.pop(name)
 
 
 def conductor_values(keys: Section) -> tuple[float | None, float]:
-    """Return coefficient [1/K] and reference temperature [K] from the keys of a part.
+    """Return the temperature coefficient [1/K] and the reference temperature [K] of a part.
 
-    The coefficient is None if the keys do not state it.
+    The coefficient is None if no key states the coefficient.
     """
     if not isinstance(keys, ConductorKeys):
         return None, 0.0
@@ -57,12 +58,12 @@ def conductor_values(keys: Section) -> tuple[float | None, float]:
 
 
 def is_heated(part: Part, scene: DeclaredScene) -> bool:
-    """Return whether the scene joins the heat pin of a part."""
+    """Return whether the heat pin of a part is joined in the scene."""
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
 def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield errors of keys that have no effect, because the scene does not join the heat pin."""
+    """Yield errors of keys that have no effect, because the heat pin is not joined."""
     if is_heated(part, scene):
         return
     for key in (COEFFICIENT, REFERENCE):

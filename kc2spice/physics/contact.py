@@ -1,4 +1,4 @@
-"""A contact: penalty, Hertz, pressure, damping and friction, stated by energy and lost forces."""
+"""Declaration of contacts: penalty, Hertz or pressure law, with damping and friction."""
 
 from __future__ import annotations
 
@@ -24,28 +24,29 @@ from kc2spice.physics.symbolic import (
 )
 
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Note on the mesh error of a law by pressure, which is the error of its compliances.
+# Note on the mesh error of a pressure law, which is the error of the compliances behind it.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
-# In a test, a block between compiled modules ended 35 mm away instead of 0.2 mm, without an error
-# message.
+# In a test with compiled modules, a block slid 35 mm instead of 0.2 mm, without an error message.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
-SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
+SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Force of a contact along its axis, with friction (Hunt and Crossley 1975).
+    """Law of the normal force and of the friction of a contact (Hunt and Crossley 1975).
 
     For an overlap x above zero, ``F = f(x) max(0, 1 + damping x')`` with
     ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x / depth)``.
 
-    ``stiffness`` has the unit N/m^power; ``power`` is 1 or 1.5. A law with more than one ``curve``,
-    whose first is 1, holds up to ``depth`` [m] under a sphere of ``radius`` [m]. The surfaces
-    follow the force within ``pace`` [s]: the law contains ``x + pace x'`` in place of x. Surfaces
-    that separate faster than ``1 / damping`` do not pull.
+    ``stiffness`` has the unit N/m^power; ``power`` is 1 or 1.5. ``curve`` contains the coefficients
+    ``curve_0``, which is 1, ``curve_1``, …. A law with several coefficients is valid up to the
+    overlap ``depth`` [m] under a sphere of ``radius`` [m]. ``pace`` [s] is the time in which the
+    surfaces follow the force: the law contains ``x + pace x'`` in place of x. Surfaces that
+    separate faster than ``1 / damping`` do not pull on each other.
 
-    ``friction`` is Coulomb's coefficient: ``F friction clip(v / creep)`` acts against sliding at
-    the speed v. Below the speed ``creep`` [m/s] it is viscous, in place of sticking.
+    ``friction`` is Coulomb's coefficient: the force ``F friction clip(v / creep)`` acts against
+    sliding at the speed v. Below the speed ``creep`` [m/s], friction is viscous; the surfaces do
+    not stick.
     """
 
     stiffness: float
@@ -60,29 +61,30 @@ class ContactForce:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Stiffness and coefficients of the law by name, in SI."""
+        """Stiffness and coefficients of the law in SI units, keyed by name."""
         result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
         return {"eps": self.stiffness} | result
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:
-        """Return energy, elastic force and force as expressions."""
+        """Return the energy, the elastic force and the complete force as expressions."""
         return _contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
-        """Return ``int f dx`` [J], 0 without contact."""
+        """Return the stored energy ``int f dx`` [J]; 0 without contact."""
         return np.asarray(evaluate_tree(self._laws[0], self.numbers | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Return ``f(x)`` [N], 0 without contact."""
+        """Return the elastic force ``f(x)`` [N]; 0 without contact."""
         return np.asarray(evaluate_tree(self._laws[1], self.numbers | {"x": x}))
 
 
 @cache
 def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
-    """Return energy, elastic force and force as expressions of ``x`` and ``x_rate``."""
+    """Return energy, elastic force and complete force as expressions of ``x``, ``x_rate``."""
     terms = []
-    # in this order, max(0, x) has the slope 1 at x = 0, where Newton's method starts
+    # With the arguments in this order, max(0, x) has the slope 1 at x = 0, where Newton's method
+    # starts.
     for k in range(count):
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
@@ -108,17 +110,20 @@ def declare_contact(
     carried: str = "",
     groove: float | None = None,
 ) -> Declaration:
-    """Declare a contact with the overlap ``u - bottom - gap`` at each of the ``ports``.
+    """Return the declaration of a contact with the overlap ``u - bottom - gap`` at each port.
 
-    ``law`` is the law of a whole ring; each ring has one of the ``gaps`` [m]. ``under`` is the
-    radius of a sphere above the rings, with the radii of the rings [m]. The gaps then follow from
-    the parameter ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A
-    ``rigid`` side has the pins ``v`` and ``bottom`` (the first side ``va`` and ``a``). An elastic
-    side has its ports, or ``b``. The displacement of a pin that a rigid side has ``carried`` is
-    added. With friction ``slide`` moves over ``rail``. ``groove`` is the opening angle in degrees.
+    Each of the ``ports`` is a ring. ``law`` is the law of the force on one ring, and ``gaps`` [m]
+    are the initial gaps of the rings. ``under`` contains the radius R of a sphere above the rings
+    and the radii r of the rings [m]. The gap ``r^2 / (R + sqrt(R^2 - r^2))`` under the sphere is
+    then added to ``gaps``, and R is the parameter ``radius``.
 
-    The pressure follows from the overlap times ``share``, for the radius at which the law was
-    computed.
+    A ``rigid`` side has the pins ``v`` and ``bottom``, or ``va`` and ``a`` if it is the first side.
+    An elastic side has its ports, or the pin ``b``. ``carried`` is a pin that carries the lower
+    side: the displacements of both are added. In a contact with friction, the pin ``slide`` moves
+    relative to the pin ``rail``. ``groove`` is the opening angle of a groove in degrees.
+
+    A pressure law holds for one radius of the sphere. For another radius, the overlap is multiplied
+    by ``share`` before the pressure is computed.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}
@@ -173,7 +178,7 @@ def declare_contact(
         rating=CONTACT_RATING,
         validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
         "adhesion or plastic flow",
-        sign=SIGN,
+        sign=SIGN_NOTE,
         speeds={pin: speed for pin, speed, is_rigid in sides if is_rigid},
         lags=lags,
         base="base",
@@ -190,7 +195,7 @@ def _parameters(
     under: tuple[float, tuple[float, ...]] | None,
     groove: float | None,
 ) -> Iterator[Param]:
-    """Parameters that an instance may set."""
+    """Yield the parameters that an instance of the subcircuit may set."""
     linear = law.power == 1
     stiffness_text = (
         "contact penalty of a whole ring"

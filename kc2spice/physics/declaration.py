@@ -1,5 +1,4 @@
-"""The physics of a part as data: energies, losses and states as expressions of the quantities
-across its pins.
+"""Declarations of part types: expressions for their energies, losses and states.
 
 ======================  ===================  =========================  =====================
 branch                  coordinate           through, into ``plus``     its rate
@@ -17,15 +16,16 @@ With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), t
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
-A *measured* branch has a coordinate and no flow through its pins: its coordinate is a signal.
-``states`` follow ``dx/dt = f``, a function of states, coordinates and rates. Expressions may
-contain states like rates: a controller is a content of its inputs and its states.
+A *measured* branch has a coordinate, but no flow through its pins: its coordinate is a signal. The
+``states`` satisfy ``dx/dt = f``, where f is a function of states, coordinates and rates. The
+expressions of content and forces may contain states. A controller, for example, is a content that
+depends on inputs and states.
 
-The energy that is stored is ``T + U - W + sum v q + sum i l``, the power that becomes heat
-``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: for any expressions, the energy through the
-pins equals the stored energy plus the losses, which include rates times ``forces``. (J. Meisel,
-Principles of Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951)
-1150.)
+The stored energy is ``T + U - W + sum v q + sum i l``. The power that becomes heat is ``sum x_rate
+dR/dx_rate + sum v dR/dv + sum i dR/di``, plus the products of rates and ``forces``. For any
+expressions, the energy that enters through the pins equals the increase of the stored energy plus
+the heat. (J. Meisel, Principles of Electromechanical Energy Conversion, 1966; content: W. Millar,
+Phil. Mag. 42 (1951) 1150.)
 
 With a heat pin (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
 through this pin, and the resistances of ``conductors`` follow its temperature.
@@ -59,8 +59,8 @@ from kc2spice.physics.symbolic import (
     differentiate_tree,
     divide_trees,
     evaluate_tree,
+    find_kinks,
     is_affine,
-    kinks,
     multiply_trees,
     names,
     parse_simplified,
@@ -68,13 +68,14 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-TEMPERATURE = "temperature"  # coordinate at the heat pin, the rise over the pin ``ambient``
-HEATING = "heating of the coil"  # effect that a part with a heat pin does not neglect
+TEMPERATURE = "temperature"  # coordinate of the heat pin, relative to the pin ``ambient``
+HEATING = "heating of the coil"  # name of the effect that only parts without a heat pin neglect
 COEFFICIENT = "temperature_coefficient"
 REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
-RATE = "_rate"  # ends the name of a displacement's velocity
-# A force or a torque determines no displacement, and no part stores energy by a flow of heat.
+RATE = "_rate"  # suffix of the name of a displacement's velocity
+# Quantities that can be coordinates of a branch. Forces, torques and heat flows cannot: a force
+# determines no displacement, and no part stores energy by a flow of heat.
 COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
@@ -85,11 +86,12 @@ COORDINATES = tuple(
 
 @dataclass(frozen=True)
 class Branch:
-    """A coordinate between two pins, and a flow through them.
+    """Branch of a declaration: a coordinate between two pins, and a flow through both pins.
 
-    ``kind`` is the quantity of the coordinate in a physical domain. ``through`` names the result
-    that flows into ``plus``; it is empty for a measured branch. The displacement of the pin
-    ``less``, which moves with ``minus``, is also subtracted.
+    ``kind`` is the quantity of the coordinate in a physical domain. ``through`` is the name of the
+    flow into the pin ``plus``; it is empty for a measured branch. The coordinate is the
+    displacement of ``plus`` minus the displacements of ``minus`` and of ``less``, a second pin that
+    moves with ``minus``.
     """
 
     kind: str
@@ -106,7 +108,7 @@ class Branch:
 
     @property
     def flows(self) -> bool:
-        """Whether the coordinate of the branch flows through the pins, such as a current."""
+        """Whether the coordinate of the branch is a flow through the pins, such as a current."""
         return QUANTITIES[self.kind][1] == "through"
 
     @property
@@ -116,7 +118,7 @@ class Branch:
 
     @property
     def rate(self) -> str:
-        """Name of the rate of a displacement."""
+        """Name of the time derivative of a displacement coordinate."""
         return self.name + RATE
 
     @property
@@ -131,7 +133,7 @@ class Branch:
 
     @property
     def across(self) -> str:
-        """Name of the result across it: the coordinate, or the voltage of a current."""
+        """Name of the result across the pins: the coordinate, or for a current its voltage."""
         if not self.flows:
             return self.name
         through, word = self.domain.through_variable.symbol, self.domain.across.symbol
@@ -141,14 +143,14 @@ class Branch:
 def branch(
     kind: str, name: str = "", plus: str = "a", minus: str = "b", through: str = ""
 ) -> Branch:
-    """Branch in any domain, whose coordinate is the quantity ``kind``, such as ``"pressure"``.
+    """Make a branch of any domain, whose coordinate is the quantity ``kind``.
 
-    By default, the names of the coordinate and of the flow are the symbols of the quantities in
-    :mod:`kc2spice.core.domains`.
+    An example of ``kind`` is ``"pressure"``. By default, the names of the coordinate and of the
+    flow are the symbols of both quantities in :mod:`kc2spice.core.domains`.
 
     Raises
     ------
-    UsageError : no domain has this quantity, or the stored energy does not depend on it.
+    UsageError : no domain has this quantity, or no stored energy depends on this quantity.
 
     Examples
     --------
@@ -183,27 +185,28 @@ def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch
 
 
 def frame_acceleration(name: str, pin: str, base: str) -> Branch:
-    """Make a measured branch of the acceleration ``name`` [m/s2] of the frame of displacements.
+    """Make a measured branch whose coordinate is the acceleration of a frame of reference.
 
-    In the netlist, the force that accelerates the masses acts on ``pin``.
+    ``name`` is the name of the acceleration [m/s2]. In the netlist, the force that accelerates the
+    masses acts on ``pin``.
     """
     return Branch("acceleration", name, pin, base, "")
 
 
 def measured(branch: Branch) -> Branch:
-    """Return the branch without a flow through its pins, such as the input of a sensor."""
+    """Return a copy of ``branch`` without a flow, such as the input of a sensor."""
     return replace(branch, through="")
 
 
 def loop(name: str) -> Branch:
-    """Make a branch of the current ``name`` [A] in a closed loop of the part."""
+    """Make a branch whose coordinate is the current ``name`` [A] in a closed loop of a part."""
     return Branch("current", name, "", "", name)
 
 
 def _unknown_name(
     part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
-    """Make the error of ``unknown`` names in the equation ``what`` of a part."""
+    """Make the error about ``unknown`` names in the equation ``what`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
         f"the {what} contains an unknown name",
@@ -217,7 +220,7 @@ def _unknown_name(
 
 
 def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
-    """Write ``R / R0 = 1 + alpha (T - T0)`` of conductors at a ``temperature``."""
+    """Return the text of the resistance ratio ``R / R0 = 1 + alpha (T - T0)`` of conductors."""
     return f"1 + {COEFFICIENT}*({temperature} - {REFERENCE})"
 
 
@@ -228,7 +231,7 @@ ONE_TEMPERATURE = (
     "not estimated",
 )
 
-# Suggestion where to state a term that an equation must not contain.
+# Hints about the field for a term that must not be in an energy.
 _OTHER_PLACES = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
     "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
@@ -237,46 +240,51 @@ _OTHER_PLACES = {
 
 @dataclass(frozen=True)
 class Declaration:
-    """The physics of a part type, from which netlist, law and checks follow.
+    """Declaration of a part type, from which netlist, law and checks are generated.
 
     Expressions contain the names of:
 
-    - numbers among the ``keys`` of the type, in SI units
-    - parameters ``given`` besides the keys
-    - ``constants``, which are expressions of these and of earlier constants
-    - ``tables``, functions of one argument with values from elsewhere
+    - keys in ``keys`` that are numbers, in SI units
+    - additional parameters in ``given``
+    - ``constants``, which are expressions of numeric keys, parameters and earlier constants
+    - ``tables``, functions of one argument whose values are computed outside of the declaration
     - coordinates, rates, ``states`` and ``signals``
 
     ``states`` maps each state to the expression of its rate. ``signals`` are expressions of
-    measured coordinates, states and earlier signals. ``kinetic`` is the energy of a mass,
-    ``1/2 m x_rate^2``, and ``starts`` names the parameters of its displacement and velocity at
-    t = 0. Only its pins and a constant weight act on the mass. ``forces`` are dissipative forces by
-    displacement, of coordinates and rates. ``limits`` maps the words for a limit to an expression
-    that must stay above zero. ``stops`` maps the words for a stop to an expression that is above
-    zero in contact. ``neglected`` contains for each effect its name, the reason why it has no
-    model, and its size. ``validity`` is the range of the equations. By default it is a constant
-    temperature, or keys that do not depend on temperature if the part has heat pins.
+    measured coordinates, states and earlier signals. ``kinetic`` is the energy of a mass, ``1/2 m
+    x_rate^2``. ``starts`` contains the names of the parameters for the displacement and velocity of
+    the mass at t = 0. Only forces at the pins and a constant weight act on the mass. ``forces``
+    contains dissipative forces as functions of coordinates and rates, keyed by displacement.
+    ``limits`` maps the description of a limit to an expression that must stay above zero. ``stops``
+    maps the description of a stop to an expression that is above zero in contact. ``neglected``
+    contains for each neglected effect its name, the reason and its size. ``validity`` describes the
+    range in which the equations hold. By default, the range is a constant temperature, or for a
+    part with heat pins, keys that do not depend on temperature.
 
     ``conductors`` are the branches of currents or voltages whose resistance rises with the
-    temperature of the heat pin, by ``temperature_coefficient`` [1/K] relative to the resistance
-    at the reference temperature. ``ideal_work`` states that the power of ``forces`` is work of an
-    ideal source instead of heat. With ``losses_of_model``, a model that is built later determines
-    the losses. ``heated`` states that there is a heat pin, which :meth:`with_heat_pin` adds.
-    ``example`` contains the tables of a small scene in TOML, from which the list of part types
-    takes the pins. ``rating`` and ``sign`` are lines in the header of the library.
+    temperature of the heat pin. ``temperature_coefficient`` [1/K] is the rise relative to the
+    resistance at the reference temperature. If ``ideal_work`` is true, the power of ``forces`` is
+    the work of an ideal source, and not heat. If ``losses_of_model`` is true, a model that is built
+    later determines the losses. ``heated`` is true if the part has a heat pin, which
+    :meth:`with_heat_pin` adds. ``example`` contains the tables of a small scene in TOML; the list
+    of part types shows the pins of the part in this scene. ``rating`` and ``sign`` are lines in the
+    header of the library.
 
-    These fields concern only the netlist:
+    The following fields have an effect only on the netlist:
 
-    - ``outputs`` are pins of displacements that are affine in a displacement of a branch.
-    - ``speeds`` are velocity nodes of rigid bodies, on which the force acts, by displacement pin.
-    - ``lags`` are delays of forces by displacement x: the law contains ``x + lag x_rate`` for x.
+    - ``outputs`` are pins whose displacement is an affine function of a branch displacement.
+    - ``speeds`` contains velocity nodes of rigid bodies, keyed by displacement pin; the force acts
+      on the velocity node.
+    - ``lags`` are delays of forces, keyed by displacement x: the law contains ``x + lag x_rate`` in
+      place of x.
     - ``base`` is the reference pin of inner nodes.
-    - Without ``metered``, forces and currents have no separate nodes and sources.
-    - ``no_module`` is the reason why there is no compiled module.
-    - ``inner`` are nodes between branches, which are no pins of the part.
-    - ``velocities`` are nodes of the same subcircuit with the rate of a displacement, relative to
-      its lower pin. Without them, the netlist differentiates the displacement.
-    - ``mesh`` is the error estimate of the mesh or rings behind its numbers, in words.
+    - If ``metered`` is false, forces and currents have no separate nodes and sources.
+    - ``no_module`` is the reason why the part cannot be a compiled Verilog-A module.
+    - ``inner`` are nodes between branches that are no pins of the part.
+    - ``velocities`` are nodes of the same subcircuit whose voltage is the rate of a displacement,
+      relative to its lower pin. Without such a node, the netlist differentiates the displacement.
+    - ``mesh`` describes the error estimate of the mesh or rings from which the numbers were
+      computed.
     """
 
     name: str
@@ -348,8 +356,7 @@ class Declaration:
         )
 
     def _coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Hint about a quantity whose coordinate has another name; empty without such a
-        coordinate."""
+        """Return a hint if an unknown name is the quantity of a coordinate; otherwise ""."""
         for b in self.branches:
             if b.kind in unknown and b.kind != b.name:
                 return f"the coordinate of {b.kind!r} is {b.name}"
@@ -371,8 +378,7 @@ class Declaration:
             )
 
     def _check_content(self) -> None:
-        """Reject a content without effect, such as a function of a displacement instead of its
-        rate."""
+        """Reject a content without effect, as a function of a displacement and not of its rate."""
         tree = self._tree("content")
         variables = {b.lossy_variable for b in self.acting_branches}
         if tree != ZERO and not names(tree) & variables:
@@ -385,7 +391,7 @@ class Declaration:
             )
 
     def _all_trees(self) -> Iterable[tuple[str, Tree]]:
-        """All expressions of the declaration, with their names."""
+        """Yield all expressions of the declaration with their names."""
         yield from zip(_ENERGIES, map(self._tree, _ENERGIES), strict=True)
         yield from (*self._forces.items(), *self.limit_trees.items(), *self.stop_trees.items())
         yield from self.constant_trees.items()
@@ -399,12 +405,12 @@ class Declaration:
 
     @property
     def heat_branch(self) -> Branch | None:
-        """Branch at the heat pin, None if the part has no such pin."""
+        """Branch between the heat pins; None if the part has no heat pin."""
         return HEAT_BRANCH if self.heated else None
 
     @property
     def offers_heat_pin(self) -> bool:
-        """Whether the part has losses for a heat pin, but no temperature yet."""
+        """Whether a heat pin can be added: the part has losses, and no thermal pins yet."""
         names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
             *self.domains,
             *self.variables,
@@ -424,10 +430,10 @@ class Declaration:
         Parameters
         ----------
         temperature_coefficient : float, optional
-            Relative rise of the conductors' resistance for each kelvin [1/K], by default the value
-            of the declaration.
+            Relative rise of the conductors' resistance [1/K], by default the value in the
+            declaration.
         reference_temperature : float, default 0
-            Rise over the pin ``ambient`` [K] at which the stated resistances hold.
+            Temperature [K] relative to the pin ``ambient`` at which the stated resistances hold.
 
         Returns
         -------
@@ -477,7 +483,7 @@ class Declaration:
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """Names of the velocities."""
+        """Names of the time derivatives of displacements."""
         return tuple(b.rate for b in self.branches if b.moves)
 
     @cached_property
@@ -487,22 +493,22 @@ class Declaration:
 
     @cached_property
     def acting_branches(self) -> tuple[Branch, ...]:
-        """Branches with a flow through their pins: all except *measured* branches."""
+        """Branches with a flow through their pins: all branches except *measured* ones."""
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property
     def displacements(self) -> tuple[Branch, ...]:
-        """Branches with a force."""
+        """Acting branches whose coordinate is a displacement."""
         return tuple(branch for branch in self.acting_branches if branch.moves)
 
     @cached_property
     def stationary_branches(self) -> tuple[Branch, ...]:
-        """Acting branches without a displacement, such as currents and voltages."""
+        """Acting branches whose coordinate is no displacement, such as currents and voltages."""
         return tuple(b for b in self.acting_branches if not b.moves)
 
     @cached_property
     def inertial_branches(self) -> tuple[Branch, ...]:
-        """Displacements of a mass."""
+        """Displacement branches with a mass."""
         return tuple(b for b in self.displacements if self.mass(b) != ZERO)
 
     @cached_property
@@ -517,7 +523,7 @@ class Declaration:
 
     @cached_property
     def domains(self) -> dict[str, Domain]:
-        """Domain of each pin; a branch with a flow has priority."""
+        """Domain of each pin, which an acting branch determines before a measured branch."""
         result: dict[str, Domain] = {}
         for b in (*self.acting_branches, *self.branches):
             for pin in b.pins:
@@ -535,7 +541,7 @@ class Declaration:
 
     @cached_property
     def with_loop_pin(self) -> Declaration:
-        """The declaration with loops that begin and end at one inner pin, ``loops``."""
+        """The declaration, in which each loop begins and ends at the inner pin ``loops``."""
         if self.open_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -551,7 +557,7 @@ class Declaration:
 
     @cached_property
     def power_series(self) -> dict[Tree, str]:
-        """Names of all power series in the flows and stored quantities of the branches."""
+        """Names of all power series that occur in flows and stored quantities of branches."""
         result: dict[Tree, str] = {}
         for tree in chain.from_iterable(map(walk_tree, self.branch_laws)):
             if isinstance(tree, Call) and tree.function == "poly":
@@ -559,7 +565,7 @@ class Declaration:
         return result
 
     def name_power_series(self, tree: Tree) -> Tree:
-        """Replace power series in ``tree`` by their names."""
+        """Return ``tree`` with names in place of its power series."""
         name = self.power_series.get(tree)
         return map_operands(tree, self.name_power_series) if name is None else Name(name)
 
@@ -571,76 +577,76 @@ class Declaration:
 
     @cached_property
     def defaults(self) -> dict[str, float]:
-        """Values of the parameters that are no keys."""
+        """Default values of the parameters that are no keys."""
         return {param.name: param.default for param in self.given}
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Keys that are numbers, and parameters that are no keys."""
+        """Names of the keys that are numbers, and of the parameters that are no keys."""
         return (*self.number_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
-        """Keys that are numbers, and constants."""
+        """Names of numeric keys, of further parameters, and of constants."""
         return (*self.numbers, *self.constants)
 
     # --- expressions ------------------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
-        """Expression tree of one of the energies, or of the content."""
+        """Return the expression tree of the energy, coenergy, kinetic energy or content."""
         return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _slope(self, what: str, name: str) -> Tree:
-        """Return the derivative of an energy with respect to a name."""
+        """Return the derivative of an energy or of the content with respect to a name."""
         return differentiate_tree(self._tree(what), name)
 
     def _parse(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
-        """Return the expression trees of texts; errors name the part."""
+        """Parse the expressions in ``stated``; errors contain the name of the part."""
         where = f"{what} of {self.name}"
         return {name: parse_simplified(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
-        """Return the trees of the dissipative forces."""
+        """Expression trees of the dissipative forces."""
         return self._parse("force", self.forces)
 
     @cached_property
     def limit_trees(self) -> dict[str, Tree]:
-        """The limits' expressions."""
+        """Expression trees of the limits."""
         return self._parse("limit", self.limits)
 
     @cached_property
     def stop_trees(self) -> dict[str, Tree]:
-        """The stops' expressions."""
+        """Expression trees of the stops."""
         return self._parse("stop", self.stops)
 
     @cached_property
     def limit_variables(self) -> dict[str, frozenset[str]]:
-        """Variables of each limit."""
+        """Names of the variables on which each limit depends."""
         return {name: self._list_variables(tree) for name, tree in self.limit_trees.items()}
 
     @cached_property
     def stop_variables(self) -> dict[str, frozenset[str]]:
-        """Variables of each stop."""
+        """Names of the variables on which each stop depends."""
         return {name: self._list_variables(tree) for name, tree in self.stop_trees.items()}
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
-        """Return the names in an expression that are no parameters."""
+        """Return the names of the variables in an expression."""
         return names(tree).difference(self.parameters)
 
     @cached_property
     def constant_trees(self) -> dict[str, Tree]:
-        """The constants' expressions."""
+        """Expression trees of the constants."""
         return self._parse("constant", self.constants)
 
     @cached_property
     def state_rates(self) -> dict[str, Tree]:
-        """The rates of the states."""
+        """Expression trees of the time derivatives of the states."""
         return self._parse("state", self.states)
 
     @cached_property
     def signal_trees(self) -> dict[str, Tree]:
-        """The signals' expressions."""
+        """Expression trees of the signals."""
         return self._parse("signal", self.signals)
 
     @cached_property
@@ -651,19 +657,20 @@ class Declaration:
         return result
 
     def without_signals(self, tree: Tree) -> Tree:
-        """Replace signals in ``tree`` by their expressions."""
+        """Return ``tree`` with expressions in place of signals."""
         return add_trees(substitute_names(tree, self._signal_inputs)) if self.signals else tree
 
     @cached_property
     def output_trees(self) -> dict[str, Tree]:
-        """The outputs' expressions."""
+        """Expression trees of the outputs."""
         return self._parse("output", self.outputs)
 
     def direct_flow(self, branch: Branch) -> Tree:
-        """Instantaneous flow through a branch.
+        """Return the flow of a branch without the rate of its stored quantity.
 
-        The result is the force without inertia, or the current without the current of the charge.
-        For a branch of the kind current, the result is the voltage without the voltage of the flux.
+        The result is the force without the rate of a momentum, or the current without the rate of a
+        charge. For a branch whose coordinate is a current, the result is the voltage without the
+        rate of the flux.
         """
         if branch == self.heat_branch:
             return subtract_trees(ZERO, self.heat_power)
@@ -676,7 +683,7 @@ class Declaration:
         return add_trees(stored, dissipative, self._forces.get(branch.name, ZERO))
 
     def _lossy_flow(self, branch: Branch) -> Tree:
-        """Flow of a branch by its losses; for a current, the resistive voltage."""
+        """Return the flow of a branch due to its losses; for a current, the resistive voltage."""
         slope = self._slope("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
             return slope
@@ -684,12 +691,12 @@ class Declaration:
         return (multiply_trees if branch.flows else divide_trees)(slope, ratio)
 
     def delayed_flow(self, branch: Branch) -> Tree:
-        """Force of a displacement after its lag."""
+        """Return the force of a displacement; the rates of coordinates with a lag are zero."""
         tree = self.direct_flow(branch)
         return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss_coefficient(self, branch: Branch) -> Tree:
-        """Damping, conductance or resistance of a branch for small signals.
+        """Return the small-signal damping, conductance or resistance of a branch.
 
         The coefficient is zero for a heat flow, which has no thermal noise.
         """
@@ -698,13 +705,16 @@ class Declaration:
         return differentiate_tree(self._lossy_flow(branch), branch.lossy_variable)
 
     def stored_quantity(self, branch: Branch) -> Tree:
-        """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct_flow`."""
+        """Return the momentum, charge or flux of a branch.
+
+        The flow of the branch is the rate of this quantity plus :meth:`direct_flow`.
+        """
         if branch.moves:
             return self._slope("kinetic", branch.rate)
         return self._slope("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Return the rate of a stored quantity by motion, and the quantity without motion.
+        """Split a stored quantity into its rate due to motion, and the quantity at rest.
 
         The quantity must be affine in displacements with a node in ``velocities``.
         """
@@ -716,12 +726,12 @@ class Declaration:
         return add_trees(ZERO, *rates), still
 
     def mass(self, branch: Branch) -> Tree:
-        """Mass of a displacement branch."""
+        """Return the mass of a displacement branch."""
         return differentiate_tree(self.stored_quantity(branch), branch.rate)
 
     @cached_property
     def stored_energy(self) -> Tree:
-        """The stored energy [J]."""
+        """Expression of the stored energy [J]."""
         products = []
         for b in self.stationary_branches:
             products.append(multiply_trees(Name(b.name), self.stored_quantity(b)))
@@ -730,14 +740,14 @@ class Declaration:
 
     @cached_property
     def _powers_of_forces(self) -> tuple[Tree, ...]:
-        """The power [W] of each of the ``forces``."""
+        """Expressions of the power [W] of each entry of ``forces``."""
         return tuple(multiply_trees(Name(name + RATE), tree) for name, tree in self._forces.items())
 
     @cached_property
     def dissipation(self) -> Tree:
-        """The power [W] that becomes heat.
+        """Expression of the power [W] that becomes heat.
 
-        Branches of heat contribute the product of temperature and heat flow.
+        A branch of the thermal domain contributes the product of temperature and heat flow.
         """
         moving = (b for b in self.branches if b.moves)
         rates = map(self._dissipated_power, moving)
@@ -746,21 +756,21 @@ class Declaration:
 
     @cached_property
     def heat_power(self) -> Tree:
-        """The power [W] of all losses outside of the thermal domain."""
+        """Expression of the power [W] of all losses, except losses in the thermal domain."""
         lossy = [b for b in self.acting_branches if not b.domain.is_relaxing]
         forces = () if self.ideal_work else self._powers_of_forces
         return add_trees(*map(self._dissipated_power, lossy), *forces)
 
     def _dissipated_power(self, branch: Branch) -> Tree:
-        """The power [W] that a branch loses."""
+        """Return the power [W] that a branch dissipates."""
         return multiply_trees(Name(branch.lossy_variable), self._lossy_flow(branch))
 
     @cached_property
     def network_loss(self) -> Tree:
-        """Sum of the powers (across times through quantity) that are not stored.
+        """Expression of the power that enters through the pins and is not stored.
 
-        These products sum to zero over a network (Tellegen's theorem). At a heat pin, the
-        product is temperature times heat flow.
+        The power at a pin is the product of the across and the through quantity; at a heat pin, of
+        temperature and heat flow. Over a network, these products sum to zero (Tellegen's theorem).
         """
         branch = self.heat_branch
         if branch is None:
@@ -771,7 +781,7 @@ class Declaration:
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
-        """Equations of the flow through every branch as text; for a current, of its voltage."""
+        """Equations of the part as text: flow of each branch, or voltage of a current."""
         result = [*filter(None, map(self._equation, self.acting_branches))]
         for name, tree in self.signal_trees.items():
             result.append(f"{name} = {Writer().write(tree)}")
@@ -780,7 +790,7 @@ class Declaration:
         return tuple(result)
 
     def _equation(self, branch: Branch) -> str:
-        """Equation of the flow through a branch as text, empty if the flow is zero."""
+        """Return the equation of the flow of a branch as text; empty for a zero flow."""
         direct = self.name_power_series(self.direct_flow(branch))
         storage = self.name_power_series(self.stored_quantity(branch))
         terms = [f"d/dt ({Writer().write(storage)})"] if storage != ZERO else []
@@ -789,7 +799,7 @@ class Declaration:
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def set_to_rest(self, tree: Tree, variable: str = "") -> Tree:
-        """Return ``tree`` with all coordinates, rates and states but ``variable`` set to zero."""
+        """Return ``tree`` with zero for all coordinates, rates and states except ``variable``."""
         still = self.variables - {variable}
         try:
             return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
@@ -804,22 +814,22 @@ class Declaration:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether the flows are proportional to coordinates, rates and states."""
+        """Whether all flows are affine functions of coordinates, rates and states."""
         laws = [*map(self.without_signals, (*self.branch_laws, *self.state_rates.values()))]
-        if any(map(kinks, laws)):
+        if any(map(find_kinks, laws)):
             return False
         return all(is_affine(law, self.variables) for law in laws)
 
     @cached_property
     def branches_with_rate(self) -> tuple[Branch, ...]:
-        """Displacements whose rates occur in an equation."""
+        """Displacement branches whose rates occur in an equation."""
         trees = [self._tree("kinetic"), self._tree("content"), *self._powers_of_forces]
         trees += (*self.state_rates.values(), *self.signal_trees.values())
         occurring = frozenset[str]().union(*map(names, trees))
         return tuple(b for b in self.branches if b.rate in occurring)
 
     def values(self, keys: Section) -> dict[str, float]:
-        """Values of all parameters of a part by name, in SI."""
+        """Return the values of all parameters of a part in SI units, keyed by name."""
         result = {name: float(getattr(keys, name)) for name in self.number_keys}
         result |= self.defaults
         for name, tree in self.constant_trees.items():

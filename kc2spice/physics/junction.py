@@ -1,6 +1,7 @@
-"""Law of a junction diode, with the equations and the constants of ngspice.
+"""Law of a junction diode with the equations and constants of ngspice.
 
-The law serves the independent integrator. The netlist of the part is a model of the simulator.
+The independent integrator solves this law. The netlist of a diode contains the built-in diode model
+of the simulator.
 """
 
 from __future__ import annotations
@@ -16,37 +17,40 @@ from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
 # J/K and C, constants of ngspice (include/ngspice/const.h; CODATA 2014). With the exact constants
-# of the SI, the thermal voltage is larger by 3.4e-7, and the current at 0.6 V smaller by 8e-6.
+# of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7, and the current at 0.6 V
+# smaller by the factor 1 - 8e-6.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
 SIMULATOR_CHARGE = 1.6021766208e-19
 THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
-LEAKAGE = 1e-12  # S, conductance of ngspice in parallel with each junction (option gmin)
-# default parameters of the model D in SPICE; its grading coefficient M is 0.5
+MIN_CONDUCTANCE = 1e-12  # S, in parallel with each junction of ngspice (option gmin)
+# default parameters of the model D in SPICE; the grading coefficient M is 0.5
 BUILT_IN_VOLTAGE = 1.0  # V, VJ
 FORWARD_SHARE = 0.5  # FC, share of VJ above which the capacitance rises linearly
 BREAKDOWN_CURRENT = 1e-3  # A, IBV, current at the breakdown voltage
-# multiple of the thermal voltage below which ngspice replaces the exponential function in reverse
+# Reverse voltage, in thermal voltages, beyond which ngspice replaces the exponential function.
 REVERSE_RANGE = 3.0
-BREAKDOWN_ITERATIONS = 25  # fixed-point iterations, each 1e-5 of the error of the one before
-# distance from breakdown, in thermal voltages, within which its exponential function is limited
+BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each reduces the error by 1e-5
+# Distance from the breakdown voltage, in thermal voltages, within which steps of Newton's method
+# are limited.
 BREAKDOWN_MARGIN = 10.0
-# change of the voltage, in thermal voltages, above which Newton's method is limited
-SHORT_CHANGE = 2.0
+# Largest step of Newton's method, in thermal voltages, that is not limited.
+MAX_UNLIMITED_CHANGE = 2.0
 
 
 def limit_junction_voltage(v: float, last: float, scale: float, critical: float) -> float:
-    """Return the voltage [V] at which Newton's method evaluates an exponential law next.
+    """Return the voltage [V] at which Newton's method next evaluates an exponential law.
 
-    ``v`` is the solution of the law that was linearised at ``last``. Above the ``critical`` voltage
-    the exponential function overshoots, so that the current of the linearised law determines the
-    next voltage instead of its voltage (Nagel, SPICE2, Memorandum ERL-M520, Berkeley 1975)::
+    ``v`` is the solution with the law linearised at the voltage ``last``. Above the ``critical``
+    voltage, the exponential function at ``v`` would be far too large. The next voltage is then the
+    voltage at which the exponential law has the current of the linearised law (Nagel, SPICE2,
+    Memorandum ERL-M520, Berkeley 1975)::
 
         exp(next / scale) = exp(last / scale) (1 + (v - last) / scale)
 
     >>> round(limit_junction_voltage(10.0, 0.6, 0.025, 0.5), 3)
     0.748
     """
-    if v <= critical or abs(v - last) <= SHORT_CHANGE * scale:
+    if v <= critical or abs(v - last) <= MAX_UNLIMITED_CHANGE * scale:
         return v
     if last <= 0.0:
         return scale * math.log(v / scale)
@@ -55,7 +59,7 @@ def limit_junction_voltage(v: float, last: float, scale: float, critical: float)
 
 
 def _exponential(x: float) -> float:
-    """Return ``exp(x)``, or infinity if the result is too large for a float."""
+    """Return ``exp(x)``; infinity if the result is too large for a float."""
     try:
         return math.exp(x)
     except OverflowError:
@@ -64,10 +68,10 @@ def _exponential(x: float) -> float:
 
 @dataclass(frozen=True)
 class Junction(Device):
-    """Junction from ``anode`` to ``cathode``, in series with a resistance.
+    """Law of a junction from ``anode`` to ``cathode``, in series with a resistance.
 
-    With the voltage ``v`` of the junction, its current consists of ``i(v)`` and of the rate of the
-    charge ``q(v)``. The names of the parameters of SPICE are in brackets::
+    At the junction voltage ``v``, the current is ``i(v)`` plus the rate of the charge ``q(v)``. The
+    equations contain the parameter names of SPICE::
 
         i = IS (exp(v/(N VT)) - 1) + gmin v                   for v > -3 N VT
         i = -IS (1 + (3 N VT/(e v))^3) + gmin v               in reverse
@@ -87,13 +91,13 @@ class Junction(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Both pins, and the node between the resistance and the junction."""
+        """The two pins, and the node between the resistance and the junction."""
         ends = LawPin("anode", "electrical"), LawPin("cathode", "electrical", grounded=True)
         return (*ends, LawPin("inner", "electrical")) if self.series_resistance else ends
 
     @property
     def _plus(self) -> str:
-        """Pin at the upper end of the junction."""
+        """Pin at the positive end of the junction."""
         return "inner" if self.series_resistance else "anode"
 
     @property
@@ -112,12 +116,12 @@ class Junction(Device):
 
     @cached_property
     def _scale(self) -> float:
-        """Voltage [V] in which the current rises by the factor e."""
+        """Voltage difference [V] that multiplies the current by e: N times VT."""
         return self.emission * THERMAL_VOLTAGE
 
     @cached_property
     def _critical_voltage(self) -> float:
-        """Voltage [V] of the largest curvature of ``i(v)`` in units of both axes."""
+        """Voltage [V] at which the curve ``i(v)`` has its largest curvature."""
         return self._scale * math.log(self._scale / (math.sqrt(2.0) * self.saturation_current))
 
     @cached_property
@@ -141,7 +145,11 @@ class Junction(Device):
     def _current(self, v: float) -> tuple[float, float, float]:
         """Return the current [A] at a voltage, its slope [S], and its integral [W] from 0 V."""
         current, slope, content = self._exponential_current(v)
-        return current + LEAKAGE * v, slope + LEAKAGE, content + 0.5 * LEAKAGE * v**2
+        return (
+            current + MIN_CONDUCTANCE * v,
+            slope + MIN_CONDUCTANCE,
+            content + 0.5 * MIN_CONDUCTANCE * v**2,
+        )
 
     def _exponential_current(self, v: float) -> tuple[float, float, float]:
         """Return the current [A] without ``gmin``, its slope [S], and its integral [W]."""
@@ -154,7 +162,7 @@ class Junction(Device):
         width = REVERSE_RANGE * scale / math.e
 
         def integrate_reverse(v: float) -> float:
-            """Return the integral of the current from 0 to a voltage in reverse."""
+            """Return the integral of the current from 0 V to a reverse voltage."""
             return begin - current * (v - first + 0.5 * width**3 * (first**-2 - v**-2))
 
         if v >= last:
@@ -164,18 +172,18 @@ class Junction(Device):
         return -rise, rise / scale, integrate_reverse(last) + scale * (rise - current)
 
     def _depletion(self, v: float) -> tuple[float, float, float]:
-        """Return the charge [C] of the capacitance, the capacitance [F], and the coenergy [J]."""
+        """Return the depletion charge [C], its capacitance [F] and its coenergy [J]."""
         volt, below = BUILT_IN_VOLTAGE, min(v, FORWARD_SHARE * BUILT_IN_VOLTAGE)
         root = math.sqrt(1.0 - below / volt)
         charge, farad = 2.0 * self.capacitance * volt * (1.0 - root), self.capacitance / root
         coenergy = 2.0 * self.capacitance * volt * (below - volt * (1.0 - root * root * root) / 1.5)
         over = v - below
-        slope = 0.5 * farad / (volt * root * root)  # of the tangent, dC/dv at FC VJ
+        slope = 0.5 * farad / (volt * root * root)  # slope dC/dv of the tangent at FC VJ
         coenergy += over * (charge + over * (farad / 2.0 + over * slope / 6.0))
         return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
 
     def _charge(self, v: float) -> tuple[float, float, float]:
-        """Return the charge [C] at a voltage, the capacitance [F], and the energy [J]."""
+        """Return the total charge [C] at a voltage, the capacitance [F] and the energy [J]."""
         current, slope, content = self._current(v)
         charge, farad, coenergy = self._depletion(v)
         charge += self.transit_time * current
@@ -204,22 +212,22 @@ class Junction(Device):
         return np.array([self._charge(float(e[0]))[0]])
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Return the energy [J] of the charge."""
+        """Return the energy [J] of the stored charge."""
         return self._charge(float(e[0]))[2]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the power [W] of the junction and of the resistance."""
+        """Return the power [W] that junction and resistance dissipate."""
         return float(e @ self.evaluate(e, mode)[0])
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return shot noise of the density ``2 q |i|`` and thermal noise of the resistance."""
+        """Return the shot noise, with the density ``2 q |i|``, and the noise of the resistance."""
         out, slope = self.evaluate(e, mode)
         powers = np.diagonal(slope).copy()
         powers[0] = abs(out[0]) / (2.0 * THERMAL_VOLTAGE)
         return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Limit the voltage of the junction, forward and in breakdown."""
+        """Limit the step of the junction voltage in the forward direction and in breakdown."""
         v, before = float(e[0]), float(last[0])
         start, scale, critical = self._breakdown_start, self._scale, self._critical_voltage
         if v < min(0.0, -start + BREAKDOWN_MARGIN * scale):

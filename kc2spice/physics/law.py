@@ -1,4 +1,4 @@
-"""A declaration as a law of the independent integrator: residual, exact Jacobian, modes, energy."""
+"""Laws of declared parts for the independent integrator, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kc2spice.physics.symbolic import (
     add_trees,
     compile_function,
     differentiate_tree,
-    kinks,
+    find_kinks,
     multiply_trees,
     names,
     replace_kinks,
@@ -32,42 +32,41 @@ _Compiled = Callable[..., tuple[Any, ...]]
 _Table = Callable[[float], float]
 
 
-def _number(value: float) -> Number:
+def _make_number(value: float) -> Number:
     """Return a number as an expression tree."""
     return Number(f"{value:g}")
 
 
 def _input_name(branch: Branch) -> str:
-    """Name of the quantity across a branch: its coordinate, or the voltage of a current."""
+    """Return the name of the quantity across a branch; for a current, of its voltage."""
     return f"{branch.name}_drop" if branch.flows else branch.name
 
 
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
-    """The law of a part with ``values`` of its parameters.
+    """Law of a declared part, with the ``values`` of the part's parameters.
 
-    ``tables`` maps the names in the law to the functions of the part's tables and of their
-    derivatives.
+    ``tables`` maps the names of tables and of their derivatives to functions.
     """
 
     name: str
     declaration: Declaration
     values: tuple[float, ...]
-    start: tuple[float, float] | None = None  # initial state of its mass
+    start: tuple[float, float] | None = None  # initial displacement and velocity of a mass
     tables: Mapping[str, _Table] = field(default_factory=dict, compare=False)
 
     @property
     def _through_branches(self) -> tuple[Branch, ...]:
-        """Return the branches whose coordinate is a flow."""
+        """Branches whose coordinate is a flow, such as a current."""
         return tuple(b for b in self.declaration.branches if b.flows)
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Pins in the order of the subcircuit."""
         result: dict[str, LawPin] = {}
         kinds = self._pin_kinds
         for b in self.declaration.branches:
-            loop = b.plus == LOOPS  # no current flows to it
+            loop = b.plus == LOOPS  # no current flows into the base pin
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
             inner = b.minus in self.declaration.inner
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
@@ -78,31 +77,31 @@ class DeclaredLaw(Device):
         return tuple(result.values())
 
     @property
-    def joins(self) -> tuple[tuple[str, str], ...]:
-        """Pins of the part, each with its pin of the law."""
+    def pin_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of a pin of the part and the corresponding pin of the law."""
         inner = {LOOPS, *self.declaration.inner}
         pins = filterfalse(inner.__contains__, names_of(self.pins))
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Return the pins whose value the law prescribes."""
+        """Signal pins whose value the law prescribes."""
         return tuple(self.declaration.outputs)
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Return the quantities across the pins that are inputs."""
+        """Quantities across pins, and their rates, that are inputs of the law."""
         d = self.declaration
         rates = map(partial(self._across_input, rate=True), d.branches_with_rate)
         return (*map(self._across_input, d.branches), *rates)
 
     def _across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
-        """Return the input of a branch."""
+        """Return the coordinate of a branch, or its rate, as an input of the law."""
         return AcrossInput(b.plus, self._lower_pin(b), rate, b.less)
 
     @cached_property
     def _pin_kinds(self) -> dict[str, str]:
-        """Kinds of all pins; outputs are signals, as are inputs whose rate is not used."""
+        """Kinds of all pins; ``signal`` for outputs, and for inputs whose rate is not used."""
         d = self.declaration
         result = dict.fromkeys(d.domains, "signal")
         for b in (*d.acting_branches, *d.branches_with_rate):
@@ -111,29 +110,29 @@ class DeclaredLaw(Device):
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _lower_pin(self, b: Branch) -> str:
-        """Lower pin of a branch; empty if the pin is the reference of another kind of branches."""
+        """Return the lower pin of a branch; empty for the reference of a signal input."""
         return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Return the flows of all acting branches."""
+        """Flows of all acting branches."""
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Return the indices of the branches with a stored quantity."""
+        """Indices of the flows of branches with a stored quantity."""
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
     @cached_property
     def _charged_branches(self) -> tuple[Branch, ...]:
-        """Acting branches with a charge or a momentum."""
+        """Acting branches that store a charge or a momentum."""
         d = self.declaration
         branches = d.acting_branches
         return tuple(b for b in branches if not b.flows and d.stored_quantity(b) != ZERO)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Return the names of the states: flows of currents, then declared states."""
+        """Names of the states: first the currents, then the declared states."""
         return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
@@ -160,31 +159,31 @@ class DeclaredLaw(Device):
 
     @property
     def linear(self) -> bool:
-        """Return whether the declaration is linear."""
+        """Whether the declaration is linear."""
         return self.declaration.linear
 
     @cached_property
     def _corners(self) -> tuple[Tree, ...]:
-        """Arguments of all one-sided expressions, whose signs make modes."""
+        """Arguments of all one-sided functions; the signs of these arguments define the mode."""
         d = self.declaration
         trees = (d.stored_energy, *d.branch_laws, *d.state_rates.values(), *d.output_trees.values())
-        corners = chain.from_iterable(map(kinks, map(self._substitute_inputs, trees)))
+        corners = chain.from_iterable(map(find_kinks, map(self._substitute_inputs, trees)))
         return tuple(dict.fromkeys(corners))
 
     def _substitute_inputs(self, tree: Tree) -> Tree:
-        """``tree`` as a function of the inputs alone, with signals in the units of their pins."""
+        """Return ``tree`` as a function of the inputs of the law alone."""
         units: dict[str, Tree] = {}
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
-                units[b.name] = multiply_trees(_number(b.domain.across.factor), Name(b.name))
+                units[b.name] = multiply_trees(_make_number(b.domain.across.factor), Name(b.name))
         return add_trees(substitute_names(self.declaration.without_signals(tree), units))
 
     def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Compile expressions of the declaration's variables."""
+        """Compile expressions that contain the variables of the declaration."""
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Compile ``trees`` and, with ``slopes``, their derivatives with respect to all inputs."""
+        """Compile ``trees``; with ``slopes``, also their derivatives with respect to inputs."""
         rows = list(trees)
         if slopes:
             rows += starmap(differentiate_tree, product(rows, self._inputs))
@@ -195,24 +194,24 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _flow_trees(self) -> tuple[Tree, ...]:
-        """Expressions of the outputs."""
+        """Expressions of the flows, rates of states and signals that the law returns."""
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
         rates = [
             subtract_trees(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches
         ]
-        per_metre = _number(TRANSLATION.across.per_unit)
+        per_metre = _make_number(TRANSLATION.across.per_unit)
         outputs = map(partial(multiply_trees, per_metre), d.output_trees.values())
         return (*flows, *rates, *d.state_rates.values(), *outputs)
 
     @cached_property
     def _flow_function(self) -> _Compiled:
-        """Return the compiled flows with their derivatives."""
+        """Compiled function of the outputs and their derivatives."""
         return self._compile_declared(self._flow_trees, slopes=True)
 
     @cached_property
     def _output_function(self) -> _Compiled:
-        """Return the compiled flows without derivatives."""
+        """Compiled function of the outputs without derivatives."""
         return self._compile_declared(self._flow_trees)
 
     @cached_property
@@ -225,12 +224,12 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _storage_function(self) -> _Compiled:
-        """Return the compiled stored quantities with their derivatives."""
+        """Compiled function of the stored quantities and their derivatives."""
         return self._compile_declared(self._storage_trees, slopes=True)
 
     @cached_property
     def _store_function(self) -> _Compiled:
-        """Return the compiled stored quantities without derivatives."""
+        """Compiled function of the stored quantities without derivatives."""
         return self._compile_declared(self._storage_trees)
 
     @cached_property
@@ -248,7 +247,7 @@ class DeclaredLaw(Device):
         return self._compile_declared(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of a compiled function for inputs in a mode."""
+        """Return the values of a compiled function for the inputs ``e`` in a mode."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -270,15 +269,15 @@ class DeclaredLaw(Device):
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the flows and their derivatives."""
+        """Return the outputs of the law and their derivatives."""
         return self._values_and_slopes(self._flow_function, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Fluxes of the currents, the states, then charges of the voltages and momenta."""
+        """Return fluxes of currents, states, charges of voltages and momenta, in this order."""
         return self._values_and_slopes(self._storage_function, e, mode)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the flows without derivatives."""
+        """Return the outputs of the law without derivatives."""
         return self._evaluate(self._output_function, e, mode)
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
@@ -286,21 +285,21 @@ class DeclaredLaw(Device):
         return self._evaluate(self._store_function, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
-        """Return the sign of each one-sided expression."""
+        """Return the mode: whether the argument of each one-sided function is positive."""
         flags: tuple[int, ...] = (0,) * len(self._corners)
-        for k in range(len(flags)):  # each may depend on earlier ones
+        for k in range(len(flags)):  # an argument may depend on earlier ones
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the distances from the next change of the mode."""
+        """Return the arguments of one-sided functions, with signs that are positive in the mode."""
         return self._evaluate(self._guard_function, e, mode) * np.where(
             np.array(mode) > 0, 1.0, -1.0
         )
 
     def next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
-        """Return the mode after a guard fell to zero."""
+        """Return the mode after the guard with this number fell to zero."""
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
@@ -310,7 +309,7 @@ class DeclaredLaw(Device):
         )
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """A force, a current, or a voltage in series with every loss."""
+        """Return a noise source for each loss: a force, a current or a series voltage."""
         branches, currents = self.declaration.acting_branches, self._through_branches
         root = np.sqrt(self._evaluate(self._loss_function, e, mode))
         rows = len(branches) + len(self.states) + len(self.prescribed_signals)
@@ -320,7 +319,7 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
     def require_in_range(self, t: float, e: np.ndarray) -> None:
-        """Raise an error if a limit of the declaration is violated."""
+        """Raise an error if the inputs violate a limit of the declaration."""
         result = self._evaluate(self._limit_function, e, self.mode(e))
         for what, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:
@@ -336,7 +335,7 @@ class DeclaredLaw(Device):
         return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the lost power [W]."""
+        """Return the dissipated power [W]."""
         if self.declaration.network_loss == ZERO:
             return 0.0
         return float(self._evaluate(self._energy_function, e, mode)[1])

@@ -1,12 +1,13 @@
-"""Currents in a common magnetic field of a moving body, by flux linkages for a netlist.
+"""Flux linkages as netlist states, for currents in the magnetic field of a moving body.
 
 With a coenergy that is quadratic in the currents ``i`` of a declaration, the voltages are ::
 
     v_k = dR/di_k + d(psi_k)/dt + phi_k'(x) x_rate,     psi_k = sum_l L_kl(x) i_l
 
-Here ``phi_k`` is the flux linkage without currents and ``L`` the second derivative of the coenergy
-with respect to the currents. Both are functions of the displacements ``x``. The states of the
-netlist are ``psi_k``.
+Here ``psi_k`` are the flux linkages due to the currents, which are the states of the netlist.
+``phi_k`` is the flux linkage without currents, and the inductance matrix ``L`` is the second
+derivative of the coenergy with respect to the currents. ``phi_k`` and ``L`` are functions of the
+displacements ``x``.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from kc2spice.physics.symbolic import ZERO, add_trees, differentiate_tree, multi
 
 @dataclass(frozen=True)
 class Linkages:
-    """Flux linkages of the currents of a declaration."""
+    """Flux linkages of the current branches of a declaration."""
 
     declaration: Declaration
     branches: tuple[Branch, ...]
@@ -38,7 +39,7 @@ class Linkages:
 
         Raises
         ------
-        UsageError : inductances that depend on currents.
+        UsageError : the inductances depend on currents.
         """
         flux, currents = map(self.declaration.stored_quantity, self.branches), self.current_names
         rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
@@ -53,12 +54,12 @@ class Linkages:
 
     @property
     def current_names(self) -> list[str]:
-        """Names of the currents, in the order of the coils."""
+        """Names of the currents in the order of the branches."""
         return names_of(self.branches)
 
     @cached_property
     def motion_voltages(self) -> tuple[Tree, ...]:
-        """Voltage [V] of each branch by motion without currents."""
+        """Voltage [V] that motion induces in each branch without currents."""
         still = dict.fromkeys(self.current_names, ZERO)
         result = []
         for branch in self.branches:
@@ -75,16 +76,15 @@ class Linkages:
         return tuple(result)
 
     def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:
-        """Return the mean inductance [H] and the inverse of L relative to the mean (points, n,
-        n)."""
-        rows = [[lookups.values(tree) for tree in row] for row in self.inductances]
+        """Return the mean inductance [H], and its product with the inverse of L (points, n, n)."""
+        rows = [[lookups.tabulate(tree) for tree in row] for row in self.inductances]
         matrix = np.moveaxis(np.array(rows), 2, 0)
         mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))
         return mean, mean * np.linalg.inv(matrix)
 
 
 def find_linkages(declaration: Declaration) -> Linkages | None:
-    """Return the flux linkages of the currents, None if no inductance contains a table."""
+    """Return the flux linkages of the currents; None if no inductance contains a table."""
     branches = tuple(b for b in declaration.acting_branches if b.flows)
     result = Linkages(declaration, branches)
     for branch in branches:

@@ -1,8 +1,9 @@
-"""Tables of a declaration as lookups in a netlist.
+"""Lookups in a netlist: smooth interpolation of the tables of a declaration.
 
-A lookup interpolates values at equally spaced arguments. The argument is counted in cells, ``s``,
-with the place ``t`` from 0 to 1 within a cell and the weight ``w = t (1 - t)``. Each lookup is
-``f(s) - w b(s)`` with two polylines ``f`` and ``b``, see :func:`smooth_lookup`.
+A lookup interpolates values at equally spaced arguments. The interval between two arguments is a
+cell. The variable ``s`` is the argument counted in cells, ``t`` is the position within a cell from
+0 to 1, and ``w = t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise
+linear functions ``f`` and ``b``, see :func:`smooth_lookup`.
 """
 
 from __future__ import annotations
@@ -37,17 +38,17 @@ from kc2spice.physics.symbolic import (
     weighted_sum,
 )
 
-# node names of the cell index and of the position in the cell
+# names of the nodes whose voltages are ``s`` and ``w``
 CELL_NODE = "lookup_s"
 WEIGHT_NODE = "lookup_w"
 
 
 @dataclass(frozen=True)
 class TableFunction:
-    """A function of one argument between ``low`` and ``high`` in the netlist of a declaration.
+    """Table in a declaration: a function of one argument between ``low`` and ``high``.
 
-    ``function`` returns the values at an array of arguments. ``points`` is the number of points of
-    the lookup, ``unit`` is the unit of a value, for comments.
+    ``function`` returns the values at an array of arguments. The lookup in the netlist has
+    ``points`` points. ``unit`` is the unit of the values, for comments.
     """
 
     low: float
@@ -58,24 +59,26 @@ class TableFunction:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """Values at equally spaced arguments."""
+        """Values of the function at equally spaced arguments."""
         return np.asarray(self.function(np.linspace(self.low, self.high, self.points)))
 
     @property
     def range(self) -> tuple[float, float, int]:
-        """Ends and number of the arguments."""
+        """First argument, last argument and number of points."""
         return self.low, self.high, self.points
 
 
 class Lookups:
-    """Lookups in the ``laws`` of a declaration with ``tables``.
+    """Lookups for the tables that occur in the laws of a declaration.
 
-    Each term of a law has at most one table as a factor. Terms with equal other factors share one
-    lookup. A lookup that occurs once is written into its law; every other lookup is a node.
+    Each term of a law has at most one table as a factor. All terms of a law with equal other
+    factors are combined into one lookup. A lookup that occurs only once is written into its law. A
+    lookup that several laws contain becomes a node.
 
     Raises
     ------
-    UsageError : a table inside a function or a product of tables, or tables of several arguments.
+    UsageError : a law contains a table inside a function, a product of tables, or tables of
+        different arguments.
     """
 
     def __init__(
@@ -93,7 +96,7 @@ class Lookups:
         self.repeated = tuple(calls for calls, count in uses.items() if count > 1)
 
     def _check_arguments(self, uses: Iterable[WeightedCalls]) -> None:
-        """Refuse tables of several arguments or ranges, which would need further cells."""
+        """Reject tables with different arguments or ranges, because all tables share one cell."""
         self.argument: Tree | None = None
         ranges = {table.range for table in self.tables.values()}
         arguments = {call.arguments[0] for calls in uses for call, _ in calls}
@@ -108,12 +111,12 @@ class Lookups:
             self.low, high, self.points = next(iter(ranges))
             self.step = (high - self.low) / (self.points - 1)
 
-    def values(self, tree: Tree) -> np.ndarray:
-        """Values of an expression of tables alone at all points."""
+    def tabulate(self, tree: Tree) -> np.ndarray:
+        """Return the values at all points of an expression that contains only tables."""
         known = {name: table.values for name, table in self.tables.items()}
-        return np.asarray(evaluate_tree(_name_calls(tree, self.tables), known))
+        return np.asarray(evaluate_tree(_replace_calls_by_names(tree, self.tables), known))
 
-    def describe(self, calls: WeightedCalls) -> str:
+    def describe_lookup(self, calls: WeightedCalls) -> str:
         """Return the formula and the unit of a lookup."""
         units = dict.fromkeys(self.tables[call.function].unit for call, _ in calls)
         return f"{format_tree(weighted_sum(calls))}: {', '.join(filter(None, units))}".removesuffix(
@@ -122,29 +125,32 @@ class Lookups:
 
     @property
     def inline_formulas(self) -> dict[str, str]:
-        """Formulas of the lookups that occur once, by their labels."""
+        """Formulas of the lookups that occur once, keyed by label."""
         once = (calls for calls in self.labels if calls not in self.repeated)
-        return {self.labels[calls]: self.describe(calls) for calls in once}
+        return {self.labels[calls]: self.describe_lookup(calls) for calls in once}
 
     def node_trees(self) -> dict[str, Tree]:
-        """Return the expression of each lookup in node voltages, by its label."""
+        """Return each lookup as an expression in node voltages, keyed by label."""
         result: dict[str, Tree] = {}
         for calls, label in self.labels.items():
             result[label] = (
                 CircuitVariable("v", (label,))
                 if calls in self.repeated
-                else self.interpolate(self.values(weighted_sum(calls)))
+                else self.interpolation_expression(self.tabulate(weighted_sum(calls)))
             )
         return result
 
-    def interpolate(self, values: np.ndarray) -> Tree:
-        """Return the lookup of ``values`` at all points in node voltages."""
+    def interpolation_expression(self, values: np.ndarray) -> Tree:
+        """Return the expression in node voltages that interpolates ``values``."""
         cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
         f, b = (Call("pwl", (cell, *points)) for points in smooth_lookup(values))
         return Binary("-", f, Binary("*", weight, b))
 
-    def split(self, law: Tree) -> list[Tree]:
-        """Return a law as terms with labels of lookups; lookups with nodes form one term."""
+    def split_law(self, law: Tree) -> list[Tree]:
+        """Split a law into terms with labels of lookups.
+
+        All lookups that are nodes are in one term, and every other lookup is a separate term.
+        """
         if not has_tables(law, self.tables):
             return [law]
         terms, rest = split_calls(law, self.tables)
@@ -156,45 +162,49 @@ class Lookups:
         return [*single, together] if together != ZERO or not single else single
 
 
-def _name_calls(tree: Tree, tables: Mapping[str, TableFunction]) -> Tree:
+def _replace_calls_by_names(tree: Tree, tables: Mapping[str, TableFunction]) -> Tree:
     """Replace each call of a table in ``tree`` by the name of the table."""
     if isinstance(tree, Call) and tree.function in tables:
         return Name(tree.function)
-    return map_operands(tree, lambda node: _name_calls(node, tables))
+    return map_operands(tree, lambda node: _replace_calls_by_names(node, tables))
 
 
 def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
-    """Whether ``tree`` calls a table."""
+    """Return whether ``tree`` calls a table."""
     known = set(tables)
     return any(isinstance(node, Call) and node.function in known for node in walk_tree(tree))
 
 
 def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return the points of the lookups ``f`` and ``b``; ``f(s) - w(s) b(s)`` has a smooth slope.
+    """Return the points of the functions ``f`` and ``b``, so that ``f - w b`` is smooth.
 
-    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
-    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
-    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
-    slope jumps at every point. One additional cubic value on either side keeps this order up to
-    both ends. Beyond the ends the function is constant. Points of the smooth ``b`` that change ``f
-    - w b`` by less than a sixteenth of a fourth difference, which the blend neglects, are left
-    out, because ngspice needs a time in proportion to the square of the length to read a table.
+    ``f`` interpolates the equally spaced ``values`` linearly, and ``b`` interpolates half of their
+    second differences. With ``w = t (1 - t)`` at the position t from 0 to 1 within a cell, ``f - w
+    b`` is the mean of the parabolas through three neighbours (Overhauser 1968). Its slope is
+    continuous, and its error is of the third order in the cell size. One extrapolated value at each
+    end, from a cubic polynomial, preserves this order up to both ends. Beyond the ends the function
+    is constant.
+
+    The result contains only the necessary points of ``b``, because ngspice reads a table in a time
+    proportional to the square of its length. Points are omitted if this changes ``f - w b`` by less
+    than a sixteenth of a fourth difference, which is the error of the interpolation.
     """
     weights = np.array([4, -6, 4, -1])
     first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # Fourth differences relate to second differences as second differences relate to the values,
-    # except at the corners at both ends.
+    # A fourth difference is estimated as (second difference)^2 / value. The estimate excludes the
+    # corners at both ends.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
     return _table_points(f), _table_points(halves, second**2 / 4 / (largest or 1.0))
 
 
 def _table_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, ...]:
-    """Arguments of a ``pwl()`` of ``values`` at -1, 0, 1, ..., constant beyond both ends.
+    """Return the arguments of a ``pwl()`` through ``values`` at -1, 0, 1, ....
 
-    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Points
-    that lie within ``tolerance`` of the lines between others are left out.
+    ngspice extrapolates the outer segments. A second point of equal value at each end makes the
+    function constant beyond its ends. Points are omitted if they are within ``tolerance`` of the
+    straight line between their neighbours.
     """
     f = np.concatenate([values[:1], values, values[-1:]])
     indices, last = [0, 1], f.size - 2
@@ -209,6 +219,6 @@ def _table_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, .
         indices.append(end)
     result = []
     for k in (*indices, f.size - 1):
-        # ngspice keeps 11 digits of a literal in an expression
+        # ngspice retains 11 digits of a number in an expression
         result += [Number(str(k - 2)), Number(format_number(float(f"{f[k]:.11g}")))]
     return tuple(result)

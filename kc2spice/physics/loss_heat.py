@@ -1,6 +1,6 @@
-"""Heat that the losses of a linear body or resonator give off: results and law.
+"""Results and law of the heat from the losses of a linear body or resonator.
 
-:mod:`kc2spice.synthesis.heat_sources` writes the same heat flows as cards of a netlist.
+The netlist cards of the same heat flows are in :mod:`kc2spice.synthesis.heat_sources`.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from kc2spice.scene.rows import Vector
 
 @dataclass(frozen=True)
 class LossHeat(laws.Device):
-    """Heat flow ``sum weight rate^2`` [W] out of ``heat``, from the rates of all other pins."""
+    """Law of the heat flow ``sum weight rate^2`` [W] out of the pin ``heat``."""
 
     name: str
     weights: tuple[float, ...]
 
     @property
     def rate_pins(self) -> tuple[str, ...]:
-        """Pins whose rates determine the losses."""
+        """Pins whose displacement rates determine the losses."""
         return tuple(map("loss{}".format, range(len(self.weights))))
 
     @property
     def pins(self) -> tuple[laws.LawPin, ...]:
-        """Pins of rates and of heat."""
+        """Pins with rates, and the heat pins."""
         rates = (laws.LawPin(pin, TRANSLATION.name) for pin in self.rate_pins)
         ends = laws.LawPin(HEAT, THERMAL.name), laws.LawPin(AMBIENT, THERMAL.name, grounded=True)
         return (*rates, *ends)
 
     @property
     def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
-        """Rates of the pins, and the temperature of the heat pin."""
+        """Rates of the ``rate_pins``, and the temperature of the heat pin."""
         rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 
     @property
     def flows(self) -> tuple[laws.Flow, ...]:
-        """Heat flow into ``heat``, which is negative."""
+        """Heat flow into the pin ``heat``, whose value is negative."""
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -55,30 +55,30 @@ class LossHeat(laws.Device):
         return np.array([slope @ e / 2]), slope[None]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the product of temperature and heat flow, as Tellegen's theorem needs it."""
+        """Return temperature times heat flow, the power at the heat pin in Tellegen's theorem."""
         return float(e[-1] * self.evaluate(e, mode)[0][0])
 
 
 def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws.Equations:
-    """Add the heat flow of all losses to the equations of a body with a diagonal ``E``.
+    """Add the heat flow of all losses to the equations of a body.
 
     Parameters
     ----------
     equations : Equations
         Pins and results of the body.
     body : SecondOrderBody
-        Law of the body, whose model has modes as unknowns.
+        Law of the body. The unknowns of its model must be modes, so that ``E`` is diagonal.
 
     Returns
     -------
     Equations
-        The equations with the pins ``heat`` and ``ambient``. Displacements of the body are further
-        ports, whose rates determine the losses.
+        The equations with the additional pins ``heat`` and ``ambient``. The body has an additional
+        port for each mode with losses; the rates at these ports determine the heat flow.
     """
     model, n = body.model, body.name
     damping = np.diag(model.E)
     lossy = np.flatnonzero(damping > 0)
-    # a port with the largest gain of its mode does not change the error scales of the integrator
+    # with the largest gain of its mode, the port does not change the integrator's error scales
     reach = np.abs(model.B).max(axis=1)[lossy]
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))
@@ -113,8 +113,7 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
 
 
 def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
-    """Return the vectors of the temperature at the heat pin, and of the heat flow through its
-    ``meter``."""
+    """Return the vectors of the temperature and the heat flow at the heat pin."""
     flow = f"i(v.x{part.name}.{meter})".lower()
     result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}
     across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT))

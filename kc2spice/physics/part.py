@@ -1,4 +1,4 @@
-"""Part types made from declarations: pins, netlist, results, equations, limits and balance."""
+"""Part types made from declarations: pins, netlist, results, equations and checks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, kinks, names
+from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
@@ -52,30 +52,30 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
 
-# impacts on a stop without a warning; two to nine impacts caused errors of up to 20 %
+# Number of impacts on a stop without a warning. Two to nine impacts caused errors of up to 20 %.
 MAX_STRIKES = 1.0
 REBOUND_ADVICE = (
     "what follows may hang on every step: error_budget estimates the error of each metric"
 )
 _INNER_PREFIXES = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
 _INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # pattern of inner nodes
-_MAX_UNEXPLAINED_SHARE = 1e-3  # largest share of the energy from the pins that time steps may lose
+_MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted error of the energy balance
 
 
 def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
-    """Yield a tighter tolerance of Newton's method for sweeps and operating points."""
+    """Yield a smaller tolerance of Newton's method for dc sweeps and operating points."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
         yield Numerics(part.name, options={"reltol": change})
 
 
 class DeclaredPart(PartType[KeysT]):
-    """The part type of a declaration."""
+    """Part type that a declaration defines."""
 
     source = "closed form"
 
     def __init__(self, declaration: Declaration | None = None) -> None:
-        """Make the type of a declaration; without one, each part has its own declaration."""
+        """Make the part type of a declaration; without one, subclasses declare each part."""
         if declaration is None:
             return
         self.declaration = declaration
@@ -86,20 +86,20 @@ class DeclaredPart(PartType[KeysT]):
 
     # --- pins and netlist -------------------------------------------------------------------------
 
-    def declared(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Declaration of a part, by default the declaration of its type."""
+    def make_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
+        """Return the declaration of a part, by default the declaration of its type."""
         return self.declaration
 
     def built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """Declaration of a part whose model may be built."""
-        return self.declared(part, build.scene)
+        """Return the declaration of a part, which may depend on the part's built model."""
+        return self.make_declaration(part, build.scene)
 
     def resolved_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Declaration of a part, with the heat pin if the scene joins this pin."""
-        return self._with_heat_pin(self.declared(part, scene), part, scene)
+        """Return the declaration of a part, with a heat pin if the scene joins this pin."""
+        return self._with_heat_pin(self.make_declaration(part, scene), part, scene)
 
     def resolved_built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """Declaration of a part whose model may be built, with the heat pin if it has one."""
+        """Return the declaration of a part with a built model, with a heat pin if joined."""
         declaration = self.built_declaration(part, build)
         heated = (part.name, HEAT) in build.scene.terminals
         return _attach_heat_pin(declaration, part) if heated else declaration
@@ -124,12 +124,12 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(result)
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the branches with mass or inertance."""
+        """Return the pins of branches with a mass or an inertance."""
         d = self.resolved_declaration(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return paths: displacements with a stiffness at rest, and branches of flows."""
+        """Return the paths to references: branches with a stiffness at rest or with a flow."""
         d = self.resolved_declaration(part, scene)
         values = d.values(part.keys)
         stiff, flowing = [], []
@@ -137,8 +137,8 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path_to_reference and b.flows:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
-                # all other variables are set to rest first, because a short sum has a short
-                # derivative
+                # before differentiation, all other variables are set to zero, which shortens the
+                # sum
                 slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.set_to_rest(slope), values):
                     stiff.append((b.plus, b.minus))
@@ -153,7 +153,7 @@ class DeclaredPart(PartType[KeysT]):
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the step of a dc sweep if the declaration is nonlinear."""
+        """Yield a smaller tolerance for dc sweeps if the declaration is nonlinear."""
         if not self.resolved_declaration(part, scene).linear:
             yield from sweep_numerics(part, scene)
 
@@ -177,14 +177,14 @@ class DeclaredPart(PartType[KeysT]):
         return result
 
     def initial_motion(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
-        """Displacement [m] and velocity [m/s] at t = 0, None if the system determines them."""
+        """Return displacement [m] and velocity [m/s] at t = 0; None for an equilibrium."""
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
         """Return the equations of the part."""
         n, d = part.name, self.resolved_built_declaration(part, build)
         results = {}
-        for b in d.open_branches:  # a full model has other loops
+        for b in d.open_branches:  # no loops, because the loops of a full model differ
             if b.plus not in d.inner:
                 results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
             elif b.flows:
@@ -197,7 +197,7 @@ class DeclaredPart(PartType[KeysT]):
             results[f"{n}.{state}"] = laws.scaled_wave(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
         law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
-        return laws.Equations((law,), law.joins, results)
+        return laws.Equations((law,), law.pin_pairs, results)
 
     # --- checks of a run --------------------------------------------------------------------------
 
@@ -212,8 +212,8 @@ class DeclaredPart(PartType[KeysT]):
             yield from balance_energy(d, part, known, waves)
             positions = known.keys() & set(names_of(d.displacements))
             forces = map(d.direct_flow, d.acting_branches)
-            for tree in dict.fromkeys(chain.from_iterable(map(kinks, forces))):
-                if positions.isdisjoint(names(tree)):  # a reversal of a flow is no impact
+            for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
+                if positions.isdisjoint(names(tree)):  # the reversal of a flow is no impact
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
@@ -224,7 +224,7 @@ class DeclaredPart(PartType[KeysT]):
     def check_operating_point(
         self, part: Part[KeysT], build: Build, point: Waveforms
     ) -> Iterator[Check]:
-        """Yield checks whether the operating point is on a stop or outside the limits."""
+        """Yield checks that the operating point is not on a stop and is within the limits."""
         d, known = (
             self.resolved_built_declaration(part, build),
             self._recorded_variables(part, build, point),
@@ -242,7 +242,7 @@ class DeclaredPart(PartType[KeysT]):
     def _recorded_variables(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Recorded coordinates, states and signals over time."""
+        """Return the coordinates, states and signals that a run has recorded over time."""
         d = self.resolved_built_declaration(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
@@ -263,7 +263,7 @@ class DeclaredPart(PartType[KeysT]):
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
-    """Return a declaration with the heat pin, unchanged if it offers no such pin."""
+    """Return a declaration with a heat pin, or unchanged if no heat pin is possible."""
     if not declaration.offers_heat_pin:
         return declaration
     coefficient, reference = conductor_values(part.keys)
@@ -273,7 +273,7 @@ def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
 def _check_limits(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
-    """Yield checks of the limits that depend on ``known`` variables alone."""
+    """Yield checks of the limits that depend only on the ``known`` variables."""
     for what, tree in d.limit_trees.items():
         if d.limit_variables[what] <= known.keys():
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
@@ -283,7 +283,7 @@ def _check_limits(
 
 
 def _node_name(build: Build, part: Part, pin: str) -> str:
-    """Return the net of a pin, or the inner node of this name."""
+    """Return the net of a pin, or the ngspice name of an inner node."""
     inner = f"x{part.name}.{pin}".lower()
     return build.scene.nets.get((part.name, pin), inner)
 
@@ -297,7 +297,7 @@ def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
 def _merge_inner_paths(
     paths: Iterable[tuple[str, str]], inner: Collection[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Return paths between pins, in place of paths by way of ``inner`` nodes."""
+    """Replace paths through ``inner`` nodes by direct paths between pins."""
     groups: list[set[str]] = []
     for path in paths:
         joined = [group for group in groups if not group.isdisjoint(path)]
@@ -310,8 +310,8 @@ def _merge_inner_paths(
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
-    If there is a base, all upper pins precede the lower pins. The velocity of a rigid body is
-    listed before its displacement.
+    If the declaration has a base, all upper pins precede the lower pins. The velocity pin of a
+    rigid body precedes its displacement pin.
     """
     d, result = declaration, dict[str, Pin]()
     ends = [(b.plus, b.minus, b.less) for b in d.branches]
@@ -343,7 +343,7 @@ def declared_subcircuit(
     tables: Mapping[str, TableFunction] = NO_TABLES,
     pins: Sequence[Pin] = (),
 ) -> Subcircuit:
-    """Write the netlist of a declared part.
+    """Return the subcircuit of a declared part.
 
     Parameters
     ----------
@@ -354,11 +354,11 @@ def declared_subcircuit(
     declaration : Declaration
         Physics of the part.
     values : mapping of str to float
-        Values of its keys in SI units, which become the defaults of the parameters.
+        Values of the keys in SI units. They become the default values of the parameters.
     noise : bool, default False
         Whether the losses have thermal noise.
     more : sequence of Item, optional
-        Further cards.
+        Further cards of the subcircuit.
     tables : mapping of str to TableFunction, optional
         Tables of the declaration and of their slopes.
     pins : sequence of Pin, optional
@@ -371,7 +371,7 @@ def declared_subcircuit(
 
     Raises
     ------
-    UsageError : a pin or a parameter has the name of an inner node or of another pin.
+    UsageError : a pin or a parameter has the name of an inner node or of another pin of the part.
 
     Examples
     --------
@@ -412,13 +412,13 @@ def declared_subcircuit(
 
 
 def across_vector(build: Build, part: Part, branch: Branch) -> Vector:
-    """Return the result across a branch."""
+    """Return the vector of the quantity across a branch."""
     quantity = branch.domain.across
     return Vector(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
 
 
 def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
-    """Return the flow through a branch, into its upper pin."""
+    """Return the vector of the flow into the upper pin of a branch."""
     flow, quantity = f"i(v.x{part.name}.{meter_name(branch)})", branch.domain.through_variable
     if branch.moves:
         flow = _inner_voltage(build, part, force_node(branch), branch.minus)
@@ -437,15 +437,15 @@ def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
 def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[Balance]:
-    """Yield the energy balance of a transient if all coordinates were recorded.
+    """Yield the energy balance of a part in a transient, if all variables were recorded.
 
-    A part without motion and without a heat pin has no check.
+    There is no balance of a part without motion and without a heat pin.
 
-    The work at the pins is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
-    into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both from the waves at the
-    pins. A netlist with a charge, flux or loss that differs from the declaration violates the
-    balance. At a heat pin the work is the integral of the heat flow. All losses leave by this
-    pin.
+    The work at the pins is computed from the waves at the pins: ``int F dx`` of forces, ``int v
+    dq`` of voltages with the charge ``q = int i dt``, and ``int i dl`` of currents with the flux
+    ``l = int v dt``. A netlist whose charges, fluxes or losses differ from the declaration violates
+    the balance. If the part has a heat pin, all losses leave the part through this pin, and their
+    energy is the integral of the heat flow.
     """
     d, time = declaration, waves["time"]
     if not (d.displacements or d.heated) or set(recorded) != {
@@ -457,7 +457,7 @@ def balance_energy(
     speeds, slopes, means = {}, {}, {}
     for b in d.branches_with_rate:
         if b in d.inertial_branches:
-            # with the velocity of a mass, the trapezoidal rule preserves the balance exactly
+            # with the simulated velocity of a mass, the trapezoidal rule gives an exact balance
             speeds[b.rate] = waves[f"{part.name}.v"]
         else:
             slopes[b.rate] = np.gradient(recorded[b.name], time)
@@ -508,10 +508,11 @@ def _compute_step_heat(
     means: Mapping[str, np.ndarray],
     time: np.ndarray,
 ) -> np.ndarray:
-    """Heat (nt - 1,) of each step, from the variables ``known`` (nt,) at both of its ends.
+    """Compute the heat (nt - 1,) in each time step from the variables ``known`` (nt,).
 
-    The velocity of a coordinate without mass jumps at each corner of the drive. ``means`` (nt -
-    1,) are mean velocities over the steps, which replace the values at the ends.
+    The heat is the mean power at both ends of a step times the duration of the step. The velocity
+    of a coordinate without mass jumps at corners of the driving wave. Therefore, the mean
+    velocities over the steps in ``means`` (nt - 1,) replace the velocities at both ends.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -527,10 +528,11 @@ def _compute_step_heat(
 def _compute_step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
-    """Work (nt - 1,) in each step of forces (nt,) on displacements (nt - 1,).
+    """Compute the work (nt - 1,) of forces (nt,) in each time step.
 
-    The work is the mean force times the change of the displacement. With ``jumps``, the values at
-    the end of the step are used if the result is nearer to ``near``.
+    ``forces`` contains pairs of a force and the changes (nt - 1,) of its displacement. The work is
+    the mean force times the change. With ``jumps``, the force at the end of the step is used if the
+    work is then nearer to ``near`` (nt - 1,).
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
@@ -540,16 +542,16 @@ def _compute_step_work(
 
 
 def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """Return the elements of two arrays that are nearer to ``near``."""
+    """Return from two arrays ``tried`` the elements that are nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
 
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Integrate a rate over each step (nt - 1,) by the rule of simulators.
+    """Integrate a rate over each time step (nt - 1,), with the rules of simulators.
 
-    Simulators use the trapezoidal rule, or the value at the end of a step after a jump. The result
-    is the value that is nearer to ``near`` (nt - 1,).
+    Simulators use the trapezoidal rule, or after a jump the rate at the end of the step. The result
+    is the integral of one of the two rules that is nearer to ``near`` (nt - 1,).
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

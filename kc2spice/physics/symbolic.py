@@ -1,11 +1,15 @@
-"""Operations on expressions: exact derivatives, simplification, compiled functions.
+"""Operations on expression trees: differentiation, simplification and compilation.
 
-The trees are objects of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
-``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
-``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
-e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and ``integral(f,
-x)``, the integral of ``f(x)`` from zero to ``x``, which has a value and a derivative but no form
-in a netlist.
+The trees are objects of :mod:`kc2spice.netlist.expression`. Expressions may contain the operators
+``+ - * / ^``, calls of tables, and these functions:
+
+* ``exp``, ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``,
+* the one-sided function ``max(0, e)``,
+* ``above(e)``, which is 1 where e is above zero, and 0 elsewhere,
+* ``clip(e)``, which limits e to the range from -1 to 1,
+* ``poly(e, c0, c1, ...)``, a power series in e with numbers as coefficients,
+* ``integral(f, x)``, the integral of ``f(x)`` from zero to ``x``, which cannot be written to a
+  netlist.
 """
 
 from __future__ import annotations
@@ -40,8 +44,8 @@ from kc2spice.netlist.expression import (
 
 ZERO = Number("0")
 ONE = Number("1")
-SLOPE_SUFFIX = "_slope"  # suffix of the name of a table's derivative
-_LITERAL_DIGITS = 11  # digits of a number in an expression that ngspice retains
+SLOPE_SUFFIX = "_slope"  # suffix of the names of the derivatives of tables
+_LITERAL_DIGITS = 11  # digits of numbers in expressions that ngspice retains
 _HELP_PAGE = "docs/reference/declarations.md"
 _REPLACEMENTS = {
     "abs": "write max(0, x) + max(0, -x) for |x|",
@@ -53,7 +57,7 @@ _REPLACEMENTS = {
     "sign": "write above(x) - above(-x)",
     "tan": "write sin(x)/cos(x)",
 }
-# Functions whose arguments are restricted.
+# Functions whose arguments are restricted, with the restriction.
 _RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 # Derivatives of functions with respect to their argument u.
 _CHAIN_RULES = {
@@ -68,13 +72,13 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
     """Parse ``text`` and simplify it.
 
-    ``tables`` are functions of one argument; their values are passed with the values of names. The
-    derivative of a table ``f`` is ``f_slope``.
+    ``tables`` are the names of functions of one argument, which are passed when the expression is
+    evaluated. The derivative of a table ``f`` has the name ``f_slope``.
 
     Raises
     ------
-    UsageError : the text is not an expression, or contains a function or operator without a
-    derivative.
+    UsageError : the text is not an expression, or contains a function or operator that cannot be
+        differentiated.
     """
     tree = parse_expression(text, where=where)
     for node in walk_tree(tree):
@@ -111,10 +115,10 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
 
 
 def _replace_above(tree: Tree) -> Tree:
-    """Replace every ``above(e)`` in ``tree`` by a choice."""
+    """Replace every ``above(e)`` in ``tree`` by the conditional expression ``e > 0 ? 1 : 0``."""
     match tree:
         case Call("above", (value,)):
-            return _step(simplify(_replace_above(value)))
+            return _step_function(simplify(_replace_above(value)))
     return map_operands(tree, _replace_above)
 
 
@@ -124,7 +128,7 @@ class _CardWriter(Writer):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return a function call in the syntax of a card."""
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # keeps the derivative at zero finite
+            case "sqrt", (Call("max", (_, value)),):  # so that the derivative at zero is finite
                 return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
@@ -134,13 +138,13 @@ class _CardWriter(Writer):
 
 
 def format_tree(tree: Tree) -> str:
-    """Write ``tree`` as text of a card.
+    """Return the text of ``tree`` on a netlist card.
 
-    The root of a one-sided function below 1e-18 is replaced by the root of 1e-18.
+    In the text, the argument of a square root of a one-sided function is at least 1e-18.
 
     Raises
     ------
-    UsageError : an integral, which has no text.
+    UsageError : the tree contains an integral, which a netlist cannot express.
     """
     for node in walk_tree(tree):
         if isinstance(node, Call) and node.function == "integral":
@@ -153,12 +157,12 @@ def format_tree(tree: Tree) -> str:
 
 
 def names(tree: Tree) -> frozenset[str]:
-    """Names that occur in ``tree``."""
+    """Return the names that occur in ``tree``."""
     return frozenset(node.text for node in walk_tree(tree) if isinstance(node, Name))
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
-    """Whether the derivatives with respect to all ``variables`` are constant."""
+    """Return whether the derivatives of ``tree`` with respect to ``variables`` are constant."""
     return all(variables.isdisjoint(names(differentiate_tree(tree, name))) for name in variables)
 
 
@@ -183,7 +187,7 @@ def divide_trees(first: Tree, second: Tree) -> Tree:
 
 
 def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
-    """Return a chain of expressions with one operator between them."""
+    """Join expressions by one operator."""
     first, *rest = trees
     for tree in rest:
         first = Binary(op, first, tree)
@@ -219,15 +223,15 @@ def _derivative(tree: Tree, name: str) -> Tree:
             inner = Call("integral", (differentiate_tree(f, name), Name(x)))
             return f if x == name else inner if name in names(f) else ZERO
         case Call("max", (_, value)):
-            return Binary("*", _step(value), _derivative(value, name))
+            return Binary("*", _step_function(value), _derivative(value, name))
         case Call("poly", (value, _, *higher)):
             series = []
             for k, coefficient in enumerate(higher, 1):
-                series.append(_number(k * float(evaluate_tree(coefficient, {}))))
+                series.append(_make_number(k * float(evaluate_tree(coefficient, {}))))
             slope = Call("poly", (value, *series)) if series else ZERO
             return Binary("*", slope, _derivative(value, name))
         case Call("clip", (value,)):
-            free = Binary("-", ONE, Binary("+", *map(_step, _clip_excesses(value))))
+            free = Binary("-", ONE, Binary("+", *map(_step_function, _clip_excesses(value))))
             return Binary("*", free, _derivative(value, name))
         case Call(function, (value,)):
             table = function not in _CHAIN_RULES
@@ -235,7 +239,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
                 Call(function + SLOPE_SUFFIX, (value,)) if table else _chain_rule(function, value)
             )
             return _product(outer, _derivative(value, name))
-    return ZERO  # numbers and steps, which are constant on both sides
+    return ZERO  # numbers, and step functions, which are constant except at the step
 
 
 def _chain_rule(function: str, value: Tree) -> Tree:
@@ -244,7 +248,7 @@ def _chain_rule(function: str, value: Tree) -> Tree:
 
 
 def _product(left: Tree, right: Tree) -> Tree:
-    """Product, or zero if either factor is zero, as most derivatives of a long sum."""
+    """Return a product; zero if a factor is zero, as in most derivatives of a long sum."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 
@@ -254,37 +258,40 @@ def _sum(op: str, left: Tree, right: Tree) -> Tree:
 
 
 def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
-    """The power series of ``value``, lowest power first, as nested products."""
+    """Return a power series of ``value`` as nested products; ``series`` begins with c0."""
     *lower, result = series
     for item in reversed(lower):
         result = Binary("+", item, Binary("*", value, result))
     return result
 
 
-def _step(value: Tree) -> Tree:
-    """Return a step, which is 1 if ``value`` is above zero."""
+def _step_function(value: Tree) -> Tree:
+    """Return the expression of a step function, 1 if ``value`` is above zero, otherwise 0."""
     return Choice(Binary(">", value, ZERO), ONE, ZERO)
 
 
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
-    """Excess of ``value`` above 1, and below -1."""
+    """Return the expressions of the excess of ``value`` above 1, and below -1."""
     return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
 
 
-# --- plain forms: a sum of products, each with its rational coefficient ---------------------------
+# --- sums of products with rational coefficients --------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Product:
-    """Product of factors with powers and a rational coefficient."""
+    """Quotient of two products of factors, times a rational coefficient."""
 
-    size: Fraction
-    above: tuple[Tree, ...] = ()
-    below: tuple[Tree, ...] = ()
+    coefficient: Fraction
+    numerator: tuple[Tree, ...] = ()
+    denominator: tuple[Tree, ...] = ()
 
     def times(self, other: _Product) -> _Product:
-        """Return the product with another product."""
-        both = Counter(self.above + other.above), Counter(self.below + other.below)
+        """Return this product multiplied by another product."""
+        both = (
+            Counter(self.numerator + other.numerator),
+            Counter(self.denominator + other.denominator),
+        )
         above, below = both[0] - both[1], both[1] - both[0]
         for root in list(below):
             match root:
@@ -292,33 +299,42 @@ class _Product:
                     above = above - Counter([value]) + Counter([root])
                     below = below - Counter([root])
         return _Product(
-            self.size * other.size, _without_duplicates(above), _without_duplicates(below)
+            self.coefficient * other.coefficient,
+            _remove_redundant_steps(above),
+            _remove_redundant_steps(below),
         )
 
     def inverse(self) -> _Product:
         """Return the reciprocal of the product."""
-        if not self.size:
+        if not self.coefficient:
             raise UsageError("the equations of the part contain a division by zero")
-        return _Product(1 / self.size, self.below, self.above)
+        return _Product(1 / self.coefficient, self.denominator, self.numerator)
 
     def tree(self) -> Tree:
-        """Expression tree with the absolute value of the coefficient."""
-        size, below = abs(self.size), self.below
+        """Return the expression tree, with the absolute value of the coefficient."""
+        size, below = abs(self.coefficient), self.denominator
         if Fraction(f"{float(size):.{_LITERAL_DIGITS}g}") != size:
-            size, below = Fraction(size.numerator), (_number(size.denominator), *below)
-        above = (_number(size), *self.above) if size != 1 or not self.above else self.above
+            size, below = Fraction(size.numerator), (_make_number(size.denominator), *below)
+        above = (
+            (_make_number(size), *self.numerator)
+            if size != 1 or not self.numerator
+            else self.numerator
+        )
         numerator = _chain_operator("*", above)
         return Binary("/", numerator, _chain_operator("*", below)) if below else numerator
 
 
-def _number(value: Fraction | float) -> Number:
+def _make_number(value: Fraction | float) -> Number:
     """Return a number as an expression tree."""
     return Number(f"{float(value):.{_LITERAL_DIGITS}g}")
 
 
-def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
-    """Factors without the steps that are redundant next to ``max(0, e)`` of the same e, its root,
-    or another step."""
+def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
+    """Return factors without redundant step functions.
+
+    The step function of e is redundant in a product with ``max(0, e)``, with the square root of
+    ``max(0, e)``, or with the same step function.
+    """
     factors: list[Tree] = []
     for factor in counts.elements():
         match factor:
@@ -334,57 +350,57 @@ def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
 @cache
 def simplify(tree: Tree) -> Tree:
     """Add equal terms, cancel equal factors, and calculate numbers exactly."""
-    return _sum_of(_nonzero_terms(tree))
+    return _build_sum(_nonzero_terms(tree))
 
 
 def _nonzero_terms(tree: Tree) -> list[_Product]:
-    return [term for term in _terms(tree) if term.size]
+    return [term for term in _terms(tree) if term.coefficient]
 
 
-def _sum_of(terms: list[_Product]) -> Tree:
+def _build_sum(terms: list[_Product]) -> Tree:
     if not terms:
         return ZERO
-    first, *rest = sorted(terms, key=lambda term: term.size < 0)
-    total: Tree = first.tree() if first.size > 0 else Unary("-", first.tree())
+    first, *rest = sorted(terms, key=lambda term: term.coefficient < 0)
+    total: Tree = first.tree() if first.coefficient > 0 else Unary("-", first.tree())
     for term in rest:
-        total = Binary("+" if term.size > 0 else "-", total, term.tree())
+        total = Binary("+" if term.coefficient > 0 else "-", total, term.tree())
     return total
 
 
 def _terms(tree: Tree) -> list[_Product]:
-    """Yield the terms of a sum as products."""
+    """Return the terms of a sum as products."""
     match tree:
         case Number(value):
             return [_Product(Fraction(value))]
         case Unary("-" | "+", _) | Binary("+" | "-", _, _):
             return _merge_terms(_sum_terms(tree))
         case Binary("*", left, right):
-            return [_merge_to_product(left).times(_merge_to_product(right))]
+            return [_factor_into_product(left).times(_factor_into_product(right))]
         case Binary("/", left, right):
-            return [_merge_to_product(left).times(_merge_to_product(right).inverse())]
+            return [_factor_into_product(left).times(_factor_into_product(right).inverse())]
         case Binary("^", base, Number(power)) if float(power).is_integer():
-            factors = [_merge_to_product(base)] * int(float(power))
+            factors = [_factor_into_product(base)] * int(float(power))
             return [reduce(_Product.times, factors, _Product(Fraction(1)))]
         case Binary("^", base, Unary("-", power)):
-            return [_merge_to_product(Binary("^", base, power)).inverse()]
+            return [_factor_into_product(Binary("^", base, power)).inverse()]
         case Binary("^", base, power):
             raise UsageError(
                 "the exponent is not a whole number",
                 got=Writer().write(tree),
                 expected="a whole number after ^",
-                hint=f"write {Writer().write(_as_exponential(base, power))} for a positive base",
+                hint=f"write {Writer().write(_make_exponential(base, power))} for a positive base",
             )
     if not _may_differ_from_zero(tree):
         return []
     return [_Product(Fraction(1), (map_operands(tree, simplify),))]
 
 
-def _as_exponential(base: Tree, power: Tree) -> Tree:
+def _make_exponential(base: Tree, power: Tree) -> Tree:
     return Call("exp", (Binary("*", power, Call("ln", (base,))),))
 
 
 def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
-    """Terms of nested sums one by one, so that equal terms are searched once."""
+    """Yield the terms of nested sums, so that equal terms are searched only once."""
     match tree:
         case Unary("-" | "+" as op, value):
             yield from _sum_terms(value, -sign if op == "-" else sign)
@@ -392,35 +408,37 @@ def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
             yield from _sum_terms(left, sign)
             yield from _sum_terms(right, -sign if op == "-" else sign)
         case _:
-            yield from (_Product(sign * t.size, t.above, t.below) for t in _terms(tree))
+            yield from (
+                _Product(sign * t.coefficient, t.numerator, t.denominator) for t in _terms(tree)
+            )
 
 
 def _may_differ_from_zero(tree: Tree) -> bool:
-    """Whether a function is not ``max(0, e)`` of an expression e that is zero."""
+    """Return whether a tree differs from ``max(0, e)`` with an expression e that is zero."""
     return not (
         isinstance(tree, Call) and tree.function == "max" and simplify(tree.arguments[1]) == ZERO
     )
 
 
-@cache  # the derivatives of a product contain the same sums many times
-def _merge_to_product(tree: Tree) -> _Product:
-    """One product equal to ``tree``, with a sum as a factor."""
+@cache  # derivatives of products contain the same sums many times
+def _factor_into_product(tree: Tree) -> _Product:
+    """Return a product equal to ``tree``; a sum of several terms becomes one factor."""
     result = _nonzero_terms(tree)
     if len(result) == 1:
         return result[0]
-    return _Product(Fraction(1), (_sum_of(result),)) if result else _Product(Fraction(0))
+    return _Product(Fraction(1), (_build_sum(result),)) if result else _Product(Fraction(0))
 
 
 def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
     """Add terms with equal factors."""
     sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
     for term in terms:
-        above, below = Counter(term.above), Counter(term.below)
+        above, below = Counter(term.numerator), Counter(term.denominator)
         key = frozenset(above.items()), frozenset(below.items())
         before = sums.get(key)
-        size = term.size + (before.size if before else 0)
+        size = term.coefficient + (before.coefficient if before else 0)
         first = before or term
-        sums[key] = _Product(size, first.above, first.below)
+        sums[key] = _Product(size, first.numerator, first.denominator)
     return list(sums.values())
 
 
@@ -432,20 +450,21 @@ WeightedCalls = tuple[tuple[Call, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split ``tree`` into products with calls of ``functions``, and the remaining terms.
+    """Split ``tree`` into products with calls of ``functions``, and the sum of other terms.
 
-    Each product is a factor times a weighted sum of calls, whose first weight is 1.
+    Each product is a pair of a factor and a weighted sum of calls. The first weight of each sum is
+    1.
 
     Raises
     ------
-    UsageError : a call inside another function, or a product of calls.
+    UsageError : a call is inside another function, or calls are multiplied.
     """
     weights: dict[Tree, dict[Call, Fraction]] = {}
     rest = []
     for term in _nonzero_terms(tree):
-        calls = [f for f in term.above if isinstance(f, Call) and f.function in functions]
-        others = tuple((Counter(term.above) - Counter(calls)).elements())
-        factor = _Product(Fraction(1), others, term.below).tree()
+        calls = [f for f in term.numerator if isinstance(f, Call) and f.function in functions]
+        others = tuple((Counter(term.numerator) - Counter(calls)).elements())
+        factor = _Product(Fraction(1), others, term.denominator).tree()
         inner = (node.function for node in walk_tree(factor) if isinstance(node, Call))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
@@ -455,28 +474,28 @@ def split_calls(
             )
         if calls:
             sums = weights.setdefault(factor, {})
-            sums[calls[0]] = sums.get(calls[0], Fraction(0)) + term.size
+            sums[calls[0]] = sums.get(calls[0], Fraction(0)) + term.coefficient
         else:
             rest.append(term)
     result = []
     for factor, sums in weights.items():
         (_, unit), *_ = rows = sorted(sums.items(), key=str)
         calls_and_weights = tuple((call, weight / unit) for call, weight in rows)
-        result.append((multiply_trees(_number(unit), factor), calls_and_weights))
-    return result, _sum_of(rest)
+        result.append((multiply_trees(_make_number(unit), factor), calls_and_weights))
+    return result, _build_sum(rest)
 
 
 def weighted_sum(calls: WeightedCalls) -> Tree:
     """Return the expression ``sum_k weight_k call_k``."""
-    return add_trees(*(multiply_trees(_number(weight), call) for call, weight in calls))
+    return add_trees(*(multiply_trees(_make_number(weight), call) for call, weight in calls))
 
 
 # --- functions ------------------------------------------------------------------------------------
 
 
-def kinks(tree: Tree) -> tuple[Tree, ...]:
-    """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
-    result = [*chain.from_iterable(map(kinks, operands_of(tree)))]
+def find_kinks(tree: Tree) -> tuple[Tree, ...]:
+    """Return the arguments ``e`` of all ``max(0, e)`` and steps in ``tree``, inner ones first."""
+    result = [*chain.from_iterable(map(find_kinks, operands_of(tree)))]
     match tree:
         case Call("clip", (value,)):
             result += _clip_excesses(value)
@@ -486,28 +505,29 @@ def kinks(tree: Tree) -> tuple[Tree, ...]:
 
 
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """Replace one-sided functions of the ``corners`` by factors ``flag0``, ``flag1``, ….
+    """Replace one-sided functions of ``corners`` by factors ``flag0``, ``flag1``, ….
 
-    The result is smooth. A flag is 1 if its corner is above zero, otherwise 0.
+    The result is a smooth function. The flag of an expression in ``corners`` is 1 if the expression
+    is above zero, otherwise 0.
     """
     match tree:
-        # zero instead of a complex number if a step goes below zero
+        # if a step leads below zero, the root must be zero and not a complex number
         case Call("sqrt", (Call("max", (_, value)),)):
             return Call("sqrt", (Call("max", (ZERO, replace_kinks(value, corners))),))
         case Call("max", (_, value)):
-            return Binary("*", _flag(value, corners), replace_kinks(value, corners))
+            return Binary("*", _flag_name(value, corners), replace_kinks(value, corners))
         case Call("clip", (value,)):
             over_one, under_one = _clip_excesses(value)
-            above, below = _flag(over_one, corners), _flag(under_one, corners)
+            above, below = _flag_name(over_one, corners), _flag_name(under_one, corners)
             free, ends = Binary("-", ONE, Binary("+", above, below)), Binary("-", above, below)
             return Binary("+", Binary("*", free, replace_kinks(value, corners)), ends)
         case Choice(Binary(">", value, _), _, _):
-            return _flag(value, corners)
+            return _flag_name(value, corners)
     return map_operands(tree, lambda node: replace_kinks(node, corners))
 
 
-def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
-    """Return the name of a flag that is 1 if one of the ``corners`` is above zero, otherwise 0."""
+def _flag_name(argument: Tree, corners: tuple[Tree, ...]) -> Name:
+    """Return the name of the flag of ``argument``, which is one of the ``corners``."""
     return Name(f"flag{corners.index(argument)}")
 
 
@@ -516,7 +536,7 @@ class _PythonWriter(Writer):
 
     def name(self, text: str) -> str:
         """Return the name of a variable in Python."""
-        return f"_{text}"  # a key may be a keyword of Python
+        return f"_{text}"  # the name of a key may be a Python keyword
 
     def write(self, tree: Tree, level: int = 0) -> str:
         """Return the text of a tree in Python."""
@@ -537,13 +557,13 @@ class _PythonWriter(Writer):
 
 
 def _python_name(function: str) -> str:
-    """Name of a table in Python, distinct from the names of keys."""
+    """Return the Python name of a table, which differs from all names of keys."""
     known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
     return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
 
 
 def _integrate_from_zero(f: Callable[[Any], Any], x: Any) -> Any:
-    """Integrate from zero to ``x`` by Gauss quadrature with 30 points."""
+    """Integrate ``f`` from zero to ``x`` by Gauss quadrature with 30 points."""
     half = 0.5 * x
     return (
         sum(w * f(half * (1.0 + n)) for n, w in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True))
@@ -565,7 +585,8 @@ def compile_function(
 ) -> Callable[..., tuple[Any, ...]]:
     """Compile a function that returns the values of ``trees`` for values of ``arguments``.
 
-    The values are numbers or arrays. ``tables`` maps names to the functions that expressions call.
+    The values of the arguments are numbers or arrays. ``tables`` maps the names of tables to
+    functions.
     """
     heads = ", ".join(map("_{}".format, arguments))
     values = "".join(map("{}, ".format, map(_PythonWriter().write, trees)))
@@ -577,5 +598,5 @@ def compile_function(
 
 
 def evaluate_tree(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """Evaluate ``tree`` for ``known`` values of its names, numbers or arrays."""
+    """Evaluate ``tree``; ``known`` maps its names to numbers or arrays."""
     return np.asarray(compile_function((tree,), known)(*known.values())[0])

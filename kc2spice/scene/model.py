@@ -212,14 +212,14 @@ class Record(Generic[T]):
     """Properties of a part that are known before any model is built.
 
     :mod:`kc2spice.scene.resolve` calls the method of :class:`PartType` for each of them once.
-    ``rest`` is the result of :meth:`PartType.at_rest`, ``detail`` an object of a class of the
+    ``rest`` is the result of :meth:`PartType.at_rest`, ``shared_data`` an object of a class of the
     part's package. The other fields have the names of their methods.
     """
 
     part: Part
     governed_parts: Mapping[str, State | Governed] = field(default_factory=dict)
     highest_frequency: HighestFrequency | None = None
-    detail: T | None = None
+    shared_data: T | None = None
     rest: Rest = field(default_factory=Rest)
     numerics: tuple[Numerics, ...] = ()
     reduction: Rom | None = None
@@ -737,11 +737,11 @@ class PartType(Generic[KeysT]):
         """
         return ()
 
-    def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
+    def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Return data that other part types of the same package read, in a class of that package.
 
         An example are the parameters of a loudspeaker, which its box reads. The data follow from
-        keys and from the governed parts. Other parts read ``scene.record(part).detail``.
+        keys and from the governed parts. Other parts read ``scene.record(part).shared_data``.
         """
         return None
 

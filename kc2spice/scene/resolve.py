@@ -96,8 +96,8 @@ def with_governed(scene: Scene) -> Scene:
         without_cards=_find_without_cards(governed_parts),
     )
     for part in scene.parts.values():
-        detail = part.type.detail(part, scene)
-        records[part.name] = replace(records[part.name], detail=detail)
+        shared_data = part.type.shared_data(part, scene)
+        records[part.name] = replace(records[part.name], shared_data=shared_data)
     return scene
 
 

@@ -58,7 +58,7 @@ def test_every_part_has_a_source_and_a_scene(number):
 @pytest.mark.parametrize("number", REDUNDANT)
 def test_a_sheet_agrees_with_its_redundant_values(number):
     part, own = PARTS[number], device(number)
-    detail = kc.load_scene(number).records["device"].detail
+    detail = kc.load_scene(number).records["device"].shared_data
     values = FORMULAS[part.kind](own.keys, detail)
     if "vas" in part.redundant:
         values["vas"] = 1.204 * 343.2**2 * part.redundant["sd"] ** 2 * values["cms"]

@@ -66,7 +66,9 @@ def test_the_impedance_at_resonance_is_that_of_the_sheet():
 
 def test_the_redundant_values_of_a_sheet_follow_from_five_of_them():
     """Bl, Rms and Qts of the maker's page, none of which is an input here."""
-    detail = kc.load_scene(scene({name: SHEET[name] for name in BASIS})).records["speaker"].detail
+    detail = (
+        kc.load_scene(scene({name: SHEET[name] for name in BASIS})).records["speaker"].shared_data
+    )
     w = 2 * np.pi * detail.fs
     assert np.sqrt(w * detail.mms * detail.re / detail.qes) == pytest.approx(SHEET["bl"], rel=1e-3)
     assert w * detail.mms / detail.qms == pytest.approx(SHEET["rms"], rel=1e-3)
@@ -75,7 +77,7 @@ def test_the_redundant_values_of_a_sheet_follow_from_five_of_them():
 
 
 def test_all_values_of_a_sheet_at_once_agree_within_rounding():
-    detail = kc.load_scene(scene(SHEET)).records["speaker"].detail
+    detail = kc.load_scene(scene(SHEET)).records["speaker"].shared_data
     for name in BASIS:
         assert getattr(detail, name) == pytest.approx(SHEET[name], rel=5e-3), name
 

@@ -93,7 +93,7 @@ def test_redundant_values_are_averaged_by_their_tolerances():
     """Two values of one quantity, ``c0`` and ``c_low - cm``, whose weighted mean is known."""
     tables = scene(fs=FS, cm=1e-15, rm=1e6, c0=1e-9, c_low=1.02e-9)
     tables["part"]["tolerance"] = {"c0": 0.01, "c_low": 0.02}
-    found = kc.load_scene(tables).records["part"].detail.c0
+    found = kc.load_scene(tables).records["part"].shared_data.c0
     weights = np.log1p([0.01, 0.02]) ** -2.0
     assert found == pytest.approx(np.exp(weights @ np.log([1e-9, 1.02e-9]) / weights.sum()), 1e-6)
 

@@ -180,7 +180,7 @@ def test_a_bent_beam_is_longer(count):
         "push": {"part": "source", "kind": "force", "pins": {"out": "spring.a"}},
         "analysis": {"type": "op"},
     })  # fmt: skip
-    declared = scene.parts["stretch"].type.declared(scene.parts["stretch"], scene)
+    declared = scene.parts["stretch"].type.make_declaration(scene.parts["stretch"], scene)
     known = {f"x{k}": 0.1 * w for k, w in enumerate(means, 1)}
     energy = evaluate_tree(
         declared.stored_energy, {"length": 1.0, "stiffness": 2.0, "tension": 0.0} | known
@@ -206,7 +206,7 @@ def test_a_bent_plate_stretches_in_both_directions(along, rows):
         "push": {"part": "source", "kind": "force", "pins": {"out": "spring.a"}},
         "analysis": {"type": "op"},
     })  # fmt: skip
-    declared = scene.parts["stretch"].type.declared(scene.parts["stretch"], scene)
+    declared = scene.parts["stretch"].type.make_declaration(scene.parts["stretch"], scene)
     w = amplitude / 4 * np.outer(means(rows), means(along)).ravel()
     known = {f"x{k}": value for k, value in enumerate(w, 1)} | keys | {"tension": 0.0}
     integral = 3 * (np.pi * amplitude) ** 2 / 16 * (width / length + length / width)

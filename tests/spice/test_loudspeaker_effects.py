@@ -188,7 +188,7 @@ def test_the_mass_without_air_is_one_of_the_stated_values():
     tables = scene()
     keys |= {"part": "loudspeaker", "mmd": DRIVER["mms"] - 2 * LOAD}
     tables["speaker"] = keys | {"pins": {"plus": "drive.out"}}
-    detail = kc.load_scene(tables).records["speaker"].detail
+    detail = kc.load_scene(tables).records["speaker"].shared_data
     assert detail.mms == pytest.approx(DRIVER["mms"], rel=1e-9)
 
 

@@ -75,7 +75,7 @@ def test_loading_a_scene_calls_each_method_of_a_part_once(monkeypatch):
     once = (
         "governed_parts",
         "highest_frequency",
-        "detail",
+        "shared_data",
         "default_joins",
         "at_rest",
         "numerics",

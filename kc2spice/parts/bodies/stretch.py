@@ -63,7 +63,7 @@ class StretchKeys(Section):
 class Stretch(PatchedPart[StretchKeys]):
     """Part type ``stretch``, whose keys determine the number of branches."""
 
-    def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         return _declare(len(patch_ports(part, scene)), part.keys.rows)
 

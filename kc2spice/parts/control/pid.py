@@ -281,7 +281,7 @@ class Pid(PartType[Control]):
         results = {f"{n}.error": error}
         if external:
             results["coil.wanted"] = laws.scaled_wave(f"{n}.command", 1.0 / SENSE_RESISTANCE)
-        return laws.Equations((controller,), controller.joins, results)
+        return laws.Equations((controller,), controller.pin_pairs, results)
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""

@@ -174,16 +174,16 @@ class ResonatorPart(NumberedPart[KeysT]):
     def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
         """Return netlist parameters, and expressions for ``c0``, ``lm``, ``cm``, ``rm``."""
 
-    def detail(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
+    def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
         """Return the elements of the resonator, for other part types of this package."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
         """Return the circuit elements of a part of a resolved scene."""
         record = scene.record(part)
-        if record is None or not isinstance(record.detail, Resonator):
+        if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
-        return record.detail
+        return record.shared_data
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""

@@ -158,7 +158,7 @@ start = "10 Hz"
 stop = "1 kHz"
 """
 
-    def detail(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
+    def shared_data(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
         """Return the parameters of the loudspeaker, for its box and other parts."""
         return self.solve(part)
 
@@ -208,11 +208,11 @@ stop = "1 kHz"
     def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
         """Return the parameters of a part of a resolved scene."""
         record = scene.record(part)
-        if record is None or not isinstance(record.detail, SpeakerParameters):
+        if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve(part)
-        return record.detail
+        return record.shared_data
 
-    def declared(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         driver, tolerance = self._parameters(part, scene), part.keys.tolerance
         params = []

@@ -179,7 +179,7 @@ resistance = "100 Ohm"
 pins = { a = "relay.com", b = "gnd" }
 """
 
-    def detail(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
+    def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
         """Return the times of the relay, for other part types of this package."""
         return solve_timing(part)
 
@@ -196,10 +196,10 @@ pins = { a = "relay.com", b = "gnd" }
                 "exchange both values",
             )
 
-    def declared(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         keys, record = part.keys, scene.record(part)
-        detail = record.detail if record is not None else None
+        detail = record.shared_data if record is not None else None
         times = detail if isinstance(detail, Timing) else solve_timing(part)
         words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
         inductance, armature = map(round_to_digits, (times.inductance, times.armature))

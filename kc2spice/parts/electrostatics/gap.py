@@ -171,7 +171,7 @@ class Gap(PatchedPart[GapKeys]):
 
     discretisations = ("film.branches",)
 
-    def declared(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         return self._with_branches(part, scene, count_film_branches(part, scene))
 
@@ -179,7 +179,7 @@ class Gap(PatchedPart[GapKeys]):
         """Return the declaration after the model is built."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
-            return self.declared(part, build.scene)
+            return self.make_declaration(part, build.scene)
         return self._with_branches(part, build.scene, finer)
 
     def build(

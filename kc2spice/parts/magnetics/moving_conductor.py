@@ -253,7 +253,7 @@ class MovingBody(DeclaredPart[MovingT]):
         """Return the step of a dc sweep over the table of forces."""
         return sweep_numerics(part, scene)
 
-    def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         return _declare(self, _branches(part.keys, 0))
 

@@ -425,7 +425,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             pins = f"{n}.{HEAT}", f"{n}.{AMBIENT}"
             results[f"{prefix}.{TEMPERATURE}"] = laws.wave_difference(*pins)
             results[f"{prefix}.{HEAT}"] = laws.scaled_wave(f"{n}.{HEAT}.through")
-        return laws.Equations((law,), law.joins, results)
+        return laws.Equations((law,), law.pin_pairs, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""

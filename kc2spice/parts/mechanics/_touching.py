@@ -367,9 +367,9 @@ class Pair:
 def make_pair(contact: Part, scene: GovernedScene) -> Pair:
     """Return both sides of a contact from its record."""
     record = scene.record(contact)
-    if record is None or not isinstance(record.detail, Pair):
+    if record is None or not isinstance(record.shared_data, Pair):
         return Pair(contact.with_schema(ContactKeys), scene)
-    return record.detail
+    return record.shared_data
 
 
 def single_pair(scene: GovernedScene) -> Pair | None:

@@ -79,11 +79,11 @@ class Contact(DeclaredPart[ContactKeys]):
     discretisations = ("spacing",)
     schema = ContactKeys
 
-    def detail(self, part: Part[ContactKeys], scene: GovernedScene) -> Pair:
+    def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> Pair:
         """Return both sides of the contact, for other parts."""
         return Pair(part, scene)
 
-    def declared(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         pair = make_pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
@@ -153,7 +153,11 @@ class Contact(DeclaredPart[ContactKeys]):
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
-        n, pair, d = part.name, make_pair(part, build.scene), self.declared(part, build.scene)
+        n, pair, d = (
+            part.name,
+            make_pair(part, build.scene),
+            self.make_declaration(part, build.scene),
+        )
         card, heated = f"@b.x{n}.b{{}}[i]", self.resolved_declaration(part, build.scene).heat_branch
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
         result = {}

@@ -112,7 +112,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
-    def declared(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
         shares = tuple(float(shake.along or 0.0) for shake in _frame_accelerations(part, scene))

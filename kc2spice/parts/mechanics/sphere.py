@@ -161,7 +161,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
 
-    def declared(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
+    def make_declaration(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
@@ -179,7 +179,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         declared = (
-            () if _has_prescribed_motion(part, scene) else make_pins(self.declared(part, scene))
+            ()
+            if _has_prescribed_motion(part, scene)
+            else make_pins(self.make_declaration(part, scene))
         )
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
