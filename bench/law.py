@@ -250,7 +250,7 @@ def law(build):
     """
     scene = build.scene
     kick, sphere = keys_of(scene, "piezo_stack"), keys_of(scene, "sphere")
-    model = resonators(build.model(scene.of("piezo_stack")[0], LinearModel))
+    model = resonators(build.model(scene.list_parts("piezo_stack")[0], LinearModel))
     rings = [k for k, port in enumerate(model.ports) if port.kind == "mechanical"]
     (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
     static = model.D.copy()
@@ -265,7 +265,7 @@ def law(build):
     floor = np.abs(gain).max() / max(np.abs(drive).max(), 1e-300)
     scale = np.maximum(np.abs(gain).max(axis=1), np.abs(drive) * floor)
     scale = np.maximum(scale, 1e-12 * scale.max())
-    coils, control = scene.only("ring_magnet_coils"), scene.only("pid")
+    coils, control = scene.find_only_part("ring_magnet_coils"), scene.find_only_part("pid")
     table: EMTable | None = None if coils is None else build.model(coils, EMTable)
     return Law(
         omega=model.omega,

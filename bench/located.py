@@ -237,7 +237,7 @@ def _toggled(saturated, fired):
 
 
 def _grid(law, scene):
-    if scene.only("throw") is not None:
+    if scene.find_only_part("throw") is not None:
         return np.linspace(0.0, scene.stop, 3001)
     coarse = np.linspace(0.0, scene.stop, max(2, round(scene.stop / 1e-6) + 1))
     if law.drive is None:

@@ -27,7 +27,7 @@ def segments(law, stop):
 
 def initial(law, scene):
     """State ``[a, b, p, v, d, I]``: the sphere at rest on the chip, or thrown at it."""
-    throw = scene.only("throw")
+    throw = scene.find_only_part("throw")
     if throw is None:
         return rest(law)
     x = np.zeros(2 * law.q + EXTRA)

@@ -53,7 +53,7 @@ def keys_of(scene, kind):
     ------
     UsageError : there is none, or more than one.
     """
-    part = scene.only(kind)
+    part = scene.find_only_part(kind)
     if part is None:
         raise UsageError("the benchmark needs one such part", where=scene.name, expected=kind)
     return part.keys

@@ -26,7 +26,7 @@ class Transient:
 
     def __init__(self, scene, setup):
         self.scene, self.setup = scene, setup
-        self.thrown = scene.only("throw") is not None
+        self.thrown = scene.find_only_part("throw") is not None
         self.build = setup.build(scene)
         self.decks = {}  # what ngspice gave, by label
         self.law = law(self.build)

@@ -35,7 +35,7 @@ class Variant:
 
 def variants(build, setup):
     """Decks of one reduced model: tolerances, methods, ceilings, lookups."""
-    scene, catch = build.scene, build.scene.only("ring_magnet_coils")
+    scene, catch = build.scene, build.scene.find_only_part("ring_magnet_coils")
     yield Variant("ngspice, as shipped", "the scene as it is", make_deck(build))
     for method, tolerances in (("trap", RELTOL), ("gear", RELTOL[:3])):
         for reltol in setup.some(tolerances, 2 if method == "trap" else 1):
@@ -55,7 +55,10 @@ def variants(build, setup):
 def launches(build, setup):
     """Decks of a loop whose contact ports have no inertia: as it is, and for a launch alone."""
     yield Variant(NO_INERTIA, "no inertia, the scene as it is", make_deck(build))
-    catch, control = build.scene.only("ring_magnet_coils"), build.scene.only("pid")
+    catch, control = (
+        build.scene.find_only_part("ring_magnet_coils"),
+        build.scene.find_only_part("pid"),
+    )
     if catch is None or control is None:
         return
     for reltol, chgtol, points, ringing, form in setup.some(LAUNCH, 1):

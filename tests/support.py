@@ -243,7 +243,7 @@ NAMES_BY_MODULE = {
     "kc2spice.scene.parttype": "compute_pin_forces find_part_type load_part_types type_names",
     "kc2spice.scene.resolve": "name_subcircuits resolve_build",
     "kc2spice.scene.results": "NOISE_WAVE",
-    "kc2spice.scene.rows": "Neglected SampledSource",
+    "kc2spice.scene.part_records": "Neglected SampledSource",
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
     "kc2spice.scene.settings": "Probe Rom",
     "kc2spice.sim": "ngspice",

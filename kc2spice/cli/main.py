@@ -308,7 +308,11 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
     loaded = _load_scene(scene, set_)
     build = build_models(loaded, Clock())
-    step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
+    step = (
+        None
+        if build.largest_step is None
+        else {"s": build.largest_step.step, "why": build.largest_step.why}
+    )
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **describe_plan(build)}
     if caller.expects_text(record):

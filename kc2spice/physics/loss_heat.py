@@ -16,7 +16,7 @@ from kc2spice.core.domains import AMBIENT, HEAT, THERMAL, TRANSLATION
 from kc2spice.netlist.spelling import format_voltage
 from kc2spice.physics.declaration import TEMPERATURE
 from kc2spice.scene.model import Build, Part
-from kc2spice.scene.rows import Vector
+from kc2spice.scene.part_records import Vector
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numerics, Vector
 
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
@@ -128,7 +128,7 @@ class DeclaredPart(PartType[KeysT]):
         d = self.resolved_declaration(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths to references: branches with a stiffness at rest or with a flow."""
         d = self.resolved_declaration(part, scene)
         values = d.values(part.keys)
@@ -143,7 +143,7 @@ class DeclaredPart(PartType[KeysT]):
                 if evaluate_tree(d.set_to_rest(slope), values):
                     stiff.append((b.plus, b.minus))
         paths = (*stiff, *flowing)
-        return Rest(_merge_inner_paths(paths, d.inner) if d.inner else paths)
+        return EquilibriumConditions(_merge_inner_paths(paths, d.inner) if d.inner else paths)
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header

@@ -16,7 +16,7 @@ from kc2spice.physics.declaration import Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, declared_subcircuit
 from kc2spice.scene.model import Build, JoinedScene, KeysT, Part, WiredScene
-from kc2spice.scene.rows import Rest
+from kc2spice.scene.part_records import EquilibriumConditions
 
 
 class DeclaredPartWithMass(DeclaredPart[KeysT]):
@@ -32,9 +32,9 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         """Return the pin with the mass."""
         return self.moving_pins[:1]
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths of the declaration; the velocity of the mass cannot jump."""
-        return replace(super().at_rest(part, scene), inert=self.moving_pins[:1])
+        return replace(super().at_rest(part, scene), inertial_pins=self.moving_pins[:1])
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header

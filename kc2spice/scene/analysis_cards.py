@@ -1,4 +1,4 @@
-"""Command of the analysis of a scene, and the cards that the command needs."""
+"""Analysis command of a scene, and the cards that the command needs."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from kc2spice.scene.results import NOISE_WAVE
 
 @dataclass(frozen=True)
 class AnalysisCards:
-    """Command of an analysis, and the source that the command names."""
+    """Command of an analysis, and cards of the source in the command."""
 
     command: Command
     items: tuple[Item, ...] = ()
 
 
 def make_analysis_cards(build: Build) -> AnalysisCards:
-    """Return the cards of the analysis of a scene.
+    """Return the command and the cards of the analysis of a scene.
 
     Raises
     ------
-    UsageError : steps of a dc sweep that are too small for ngspice.
+    UsageError : the steps of a dc sweep are too small for ngspice.
     """
     scene, sweep, output = build.scene, build.dc_sweep, build.noise_output
     selected = scene.analysis
     if output is not None:
         return _make_noise_cards(build, str(output.voltage))
     if selected.type == "transient":
-        assert build.largest is not None
-        step = build.largest.step
+        assert build.largest_step is not None
+        step = build.largest_step.step
         return AnalysisCards(transient_command(scene.stop, step, uic=bool(scene.initial_states)))
     if selected.type == "ac":
-        # ngspice returns only the first of two linear points
+        # of two linear points, ngspice returns only the first one
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         command = ac_command(selected.start, float(selected.stop or 0.0), points, selected.scale)
         return AnalysisCards(command)
@@ -46,7 +46,7 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
 
 
 def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
-    """Return the command of a noise analysis and its input source."""
+    """Return the command of a noise analysis, and the cards of its input source."""
     selected = build.scene.analysis
     node = NameAllocator((*build.scene.parts, *build.scene.nets.values())).name(
         NOISE_WAVE, "noise_input"

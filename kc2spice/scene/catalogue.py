@@ -1,7 +1,7 @@
-"""Catalogue of commercial parts: data-sheet values with source and date.
+"""Catalogue of commercial parts, with data-sheet values, their source and its date.
 
-``catalogue.toml`` contains one table for each part number. A part number is accepted in place of a
-scene: the scene drives the part in a test circuit for its kind.
+``catalogue.toml`` contains one table for each part number. A part number is accepted in place of
+the name of a scene. Its scene contains the part in a test circuit for this kind of part.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from kc2spice.core.untrusted_files import make_identifier
 class CataloguePart:
     """Part of a manufacturer, with the text of its scene.
 
-    ``keys`` are lines of the part's table; ``band`` are the first and the last frequency of its
-    scene, empty for a transient. ``redundant`` are data-sheet values without a key. ``assumed``
-    describes values that the data sheet does not contain. A part without keys has a built-in
-    ``scene``.
+    ``keys`` are the lines of the part's table in the scene. ``band`` contains the first and the
+    last frequency of the scene's analysis; it is empty for a transient. ``redundant`` are
+    data-sheet values without a key. ``assumed`` describes values that the data sheet does not
+    contain. A part without ``keys`` has a built-in ``scene``.
     """
 
     number: str
@@ -47,23 +47,23 @@ class CataloguePart:
 
     @property
     def words(self) -> str:
-        """Text that a search for words reads."""
+        """Text in which words of a search must occur."""
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
     @property
     def scene_name(self) -> str:
-        """Name of the scene of the part."""
+        """Name of the scene that contains the part."""
         return make_identifier(self.number, "part")
 
     @property
     def rated_voltage(self) -> str:
-        """Text of the key ``voltage``, the drive of the test circuit; may be empty."""
+        """Text of the key ``voltage``, the voltage of the test circuit; may be empty."""
         lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
         return next(lines, "")
 
     @property
     def text(self) -> str:
-        """Scene with the part in its test circuit, as text of a TOML file."""
+        """TOML text of a scene with the part in its test circuit."""
         circuit = _read_tables()["circuits"][self.kind]
         lines = [f"# {self.source}, {self.date}"]
         lines += [f"# assumed: {self.assumed}"] if self.assumed else []
@@ -100,7 +100,7 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with this number in any letter case; None if no scene contains the part."""
+    """Return the part with this number in any letter case; None for an unknown number."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())
@@ -108,7 +108,7 @@ def find_part(name: str) -> CataloguePart | None:
 
 
 def search_parts(words: str = "") -> list[CataloguePart]:
-    """Return the parts whose number, manufacturer, device or kind contain every word.
+    """Return the parts whose number, manufacturer, device or kind contain all ``words``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Metrics and checks of a result: physics, energy balances, error limits of ``verify``."""
+"""Records of metrics, checks, energy balances and error limits of a result."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Measure = Literal["relative", "absolute", "travel", "largest", "spectral"]
 
 @dataclass(frozen=True)
 class Metric:
-    """Number, array or table of numbers of a result with its SI unit.
+    """Metric of a result: a number, an array or a table of numbers, with the SI unit.
 
     The unit of a pure number is ``""``. The name of a metric does not determine its unit, because
-    an author may choose it freely.
+    the author of a part may choose the name freely.
     """
 
     value: Any
@@ -33,21 +33,23 @@ class Metric:
 
 @dataclass(frozen=True)
 class Check:
-    """Check that ``value`` does not exceed ``limit``, with ``advice`` for a violation.
+    """Check that ``value`` does not exceed ``limit``; ``advice`` is for a violation.
 
-    A value that was not reached is NaN. ``action`` is the effect of a violation on the run. A
-    ``coarse`` check fails if steps are too large; tighter tolerances may correct this. A ``wiring``
-    check compares the netlist with the scene; an edited deck may differ intentionally.
-    ``suggested`` contains dotted keys with values that avoid the violation, if they are known and
-    not set. A check of the ``discretisation`` compares a model with a finer model at the
-    frequencies of the run. In a transient, ``verify`` includes this check unless it solves the
-    finer model.
+    The value is NaN if the run did not reach the checked event. ``action`` is the effect of a
+    violation on the run. A check with ``coarse`` is violated if time steps are too large, which
+    tighter tolerances may correct. A check with ``wiring`` compares the netlist with the scene; in
+    an edited deck, a difference may be intentional. ``suggested`` contains dotted keys with values
+    that avoid the violation, if such values are known and the scene does not set the keys. A check
+    with ``discretisation`` compares a model with a finer model at the frequencies of the run. In a
+    transient, ``verify`` includes this check unless ``verify`` solves the scene with the finer
+    model.
 
-    The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
-    of a transient. ``distance`` is the distance of a motion from the limit, on either side.
-    ``travel`` is the range of this motion. ``distance`` and ``travel`` have the unit of the check.
+    The value of a check with ``loaded`` is the relative error of a reduced body under the loads
+    that a transient has recorded. In a check of a motion, ``distance`` is the smallest distance
+    from the limit, on either side, and ``travel`` the range of the motion. ``distance`` and
+    ``travel`` have the unit of the check.
     ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. A
-    run that violates such a check leaves no files, because the input is the cause.
+    run that violates a check with these texts writes no files, because the input is the cause.
     """
 
     name: str
@@ -73,11 +75,11 @@ class Check:
 
     @property
     def is_fatal(self) -> bool:
-        """Whether the check fails the run."""
+        """Whether a violation of the check fails the run."""
         return self.action == "fail" and not self.passed
 
     def record(self) -> dict[str, object]:
-        """Return the row of the check in ``result.json``."""
+        """Return the entry of the check in ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
         return {name: getattr(self, name) for name in names}
 
@@ -86,9 +88,10 @@ class Check:
 class Balance(EqualByContent):
     """Energy balance of a run.
 
-    ``entries`` [J] are the energies at the end, ``missing`` [J] is the largest error at any time.
-    ``limit`` is the largest ratio of ``missing`` to ``scale`` [J]. ``exact`` contains, for each
-    wave, the values of the run and the exact response of a linear part to its loads.
+    ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
+    the balance at any time. ``limit`` is the largest accepted ratio of ``missing`` to ``scale``
+    [J]. Of a linear part, ``exact`` contains for each wave the values of the run and the exact
+    response to the loads of the part.
     """
 
     entries: dict[str, float]
@@ -106,7 +109,7 @@ class Balance(EqualByContent):
 
 @dataclass(frozen=True)
 class Verdict:
-    """All checks of a run, with energy balances and error limits, keyed by part."""
+    """Verdict on a run: its checks, and energy balances and error limits by part."""
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
@@ -123,7 +126,7 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.is_fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
-            # the sentence contains names of keys in the user's spelling
+            # a name with blanks may contain keys, whose underscores must remain
             name = check.name if " " in check.name else check.name.replace("_", " ")
             cause, colon, action = check.advice.partition(": ")
             if "(" in cause:
@@ -138,36 +141,39 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
 
 
 def motion_error_limit(solver: Solver) -> float:
-    """Return the relative error limit of motions in ngspice against the reference solver.
+    """Return the limit of the relative error of motions in ngspice.
 
-    At the usual tolerances, errors are 1e-5 to 3e-5. The differences fall as ``(reltol
-    chgtol)^0.55``.
+    The reference are motions of the reference solver. At the usual tolerances, the errors are 1e-5
+    to 3e-5. The errors are proportional to ``(reltol chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Largest accepted difference between two solutions in one result.
+    """Error limit of a result: its largest accepted difference between two solutions.
 
-    ``of`` is the name of a metric or of waves (a prefix ends with ``*``). ``limits`` contains the
-    largest difference for each pair of solutions. ``measure`` is the measure of the difference:
+    ``result`` is the name of a metric or a wave, or a prefix of names with a final ``*``.
+    ``limits`` contains the largest difference for each pair of solutions. ``measure`` states how
+    the difference is measured:
 
-    * * *relative*: each value by its size (arrays: values above 1e-6 of the largest);
-    * *absolute*: in ``unit``; *travel*: by the swing of the wave;
-    * *largest*: by the largest value of all waves together;
-    * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.
+    * *relative*: difference of each value divided by the value (arrays: values above 1e-6 of the
+      largest value);
+    * *absolute*: difference in ``unit``; *travel*: difference divided by the range of the wave;
+    * *largest*: difference divided by the largest value of all waves;
+    * *spectral*: difference of each entry of a response divided by its magnitude, at least 1e-6 of
+      the peak of the entry.
 
-    ``share`` is the part of the scale, from its start on, that is compared; ``leads`` states
-    whether the difference is the one of the scene in ``errors``. In a transient, a gate of the
-    ``discretisation`` compares with a finer mesh of this part only.
+    ``share`` is the compared part of the scale, from its start on. The difference of a gate with
+    ``is_main`` is the error of the scene in ``errors``. In a transient, a gate with
+    ``discretisation`` compares with a solution in which only this part has a finer mesh.
     """
 
-    words: str
-    of: str
+    description: str
+    result: str
     limits: Mapping[str, float]
     measure: Measure = "relative"
     unit: str = "1"
-    leads: bool = False
+    is_main: bool = False
     share: float = 1.0
     discretisation: bool = False

@@ -1,8 +1,9 @@
-"""Nets of a scene: joins of pins, and checks of these joins.
+"""Formation of the nets of a scene from joined pins, and checks of the joins.
 
-A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined directly or through other pins
-form one net. The node is named after its first pin in the order of the scene. One allocator
-assigns all names at the top level of a deck, so that nets and cards have different names.
+The target of a pin is ``"gnd"`` or ``"part.pin"``. All pins that are joined directly or through
+other pins form one net. The node of a net is named after the net's first pin in the order of the
+scene. One allocator assigns all names at the top level of a deck, so that nodes and cards have
+different names.
 """
 
 from __future__ import annotations
@@ -18,38 +19,38 @@ from kc2spice.core.domains import ELECTRICAL, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.frames import find_frames
 from kc2spice.scene.model import GROUND, Build, BuildRecord, NameAllocator, Part, Scene, Terminal
+from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
-from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
 _GROUND_NAMES: Pin = (GROUND, "")
-LISTED_PINS = 5  # pins that an error message lists
-METER_SUFFIX = "meter"  # last word of the name of an ammeter
+LISTED_PINS = 5  # largest number of pins that an error message lists
+METER_SUFFIX = "meter"  # last part of the name of an ammeter
 
 
 def join_parts(scene: Scene) -> Scene:
     """Return the scene with its nets and the reference frame of each net.
 
-    Parts in a shaken frame have additional pins for its acceleration. These pins are joined after
-    the frames are known.
+    Parts in a shaken frame have additional pins for the acceleration of the frame. These pins are
+    joined after the frames have been determined.
 
     Raises
     ------
-    UsageError : an unknown part or pin, pins of one part whose names differ in case only, pins of
-        different kinds on one net, a required pin that is not joined, a part whose two pins are
-        joined to each other, two outputs or a loop of ideal sources on one net, displacements in
-        different frames; ``where`` is a dotted key.
+    UsageError : an unknown part or pin, pins of one part whose names differ only in letter case,
+        pins of different kinds on one net, a required pin that is not joined, a part whose two pins
+        are joined to each other, two outputs on one net, a loop of ideal sources, or displacements
+        in different frames; ``where`` is a dotted key.
     """
     scene = _with_nets(replace(scene, frames={}, nets={}))
     if frames := find_frames(scene):
         scene = _with_nets(replace(scene, frames=frames))
-        # further pins may appear in the names of nodes
+        # additional pins may change the names of nodes
         scene = replace(scene, frames=find_frames(scene))
     return scene
 
 
 def with_joins(scene: Scene) -> Scene:
-    """Return the scene with the targets of pins that follow from keys of its parts."""
+    """Return the scene with the targets of pins that the keys of parts imply."""
     joins = {}
     for name, record in scene.records.items():
         joins[name] = record.part.type.default_joins(record.part, scene)
@@ -57,7 +58,7 @@ def with_joins(scene: Scene) -> Scene:
 
 
 def with_rests(scene: Scene) -> Scene:
-    """Return the scene with constraints and loads of its parts in equilibrium."""
+    """Return the scene with the equilibrium conditions of all parts."""
     records = {}
     for name, record in scene.records.items():
         records[name] = replace(record, rest=record.part.type.at_rest(record.part, scene))
@@ -65,7 +66,7 @@ def with_rests(scene: Scene) -> Scene:
 
 
 def _with_nets(scene: Scene) -> Scene:
-    """Return the scene with its nets and all names of its netlist."""
+    """Return the scene with its nets and with all names in its netlist."""
     scene = with_joins(scene)
     terminals = {}
     for part in scene.parts.values():
@@ -73,7 +74,7 @@ def _with_nets(scene: Scene) -> Scene:
             terminals[part.name, terminal.name] = terminal
     _require_distinct_pins(terminals)
     scene = replace(scene, terminals=terminals)
-    union = Groups([_GROUND_NAMES, *terminals])
+    union = DisjointGroups([_GROUND_NAMES, *terminals])
     for part in scene.parts.values():
         for pin, target, where in _list_joins(part, scene):
             other = _find_target(target, scene, where)
@@ -93,10 +94,10 @@ def _with_nets(scene: Scene) -> Scene:
 
 
 def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield pin, target and the key that joins both.
+    """Yield the joins of a part: pin, target, and the key that states the join.
 
-    Pins of the scene come first, then joins that follow from keys, then defaults. A default does
-    not apply to a pin that another part of the scene names.
+    Joins in the table ``pins`` come first, then joins that keys imply, then default joins. A pin
+    that another part names as a target has no default join.
     """
     names = set(map(attrgetter("name"), scene.pins(part.name)))
     for pin, target in part.pins.items():
@@ -152,7 +153,7 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
 
 
 def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
-    """Reject a join of pins of different kinds."""
+    """Reject a join of two pins of different kinds."""
     if _GROUND_NAMES in (a, b):
         return
     first, second = scene.terminals[a], scene.terminals[b]
@@ -182,18 +183,18 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins have the same unit and flow; a signal pin has no flow."""
+    """Return whether two pins may be joined: equal units, and equal flows if both have one."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
-    """Reject a net on which a signal pin joins two pins of different kinds."""
+    """Reject a net with pins of different kinds that are joined through a signal pin."""
     for a, b in combinations(() if _GROUND_NAMES in net else net, 2):
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
 def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
-    """Reject two pins of a part whose names a simulator does not distinguish."""
+    """Reject two pins of a part whose names differ only in letter case."""
     spellings: dict[Pin, str] = {}
     for name, pin in terminals:
         first = spellings.setdefault((name, pin.lower()), pin)
@@ -207,7 +208,7 @@ def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
 
 
 def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
-    """Return the node of each pin, named after the first pin on its net."""
+    """Return the node of each pin, which is named after the first pin on the same net."""
     names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
@@ -216,7 +217,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """Return the scene with the names of ammeters, inner nodes and further cards."""
+    """Return the scene with unused names for ammeters, inner nodes and further cards."""
     cards = map("".join, product(ascii_lowercase, scene.parts))
     free = NameAllocator((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}
@@ -233,12 +234,10 @@ def _with_inner_names(scene: Scene) -> Scene:
 
 
 def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return pins of a part whose flow can be metered, with their domains.
+    """Return the pins of a part at which a flow can be measured, with their domains.
 
-    The pins are not on ground.
-
-    If the flow is a power, the flow at a reference pin, such as ``ambient``, is the sum of the
-    flows at the other pins.
+    Pins on ground are excluded. In a domain whose flow is a power, the reference pin, such as
+    ``ambient``, is also excluded, because its flow is the sum of the flows at the other pins.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
@@ -251,9 +250,9 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return the pins by which power enters a part in one domain.
+    """Return the pins through which power enters a part, all of one domain.
 
-    The domain is the electrical one if the part has electrical pins, otherwise the domain of the
+    The domain is electrical if the part has electrical pins; otherwise it is the domain of the
     first pin.
     """
     pins = metered_pins(part, scene)
@@ -263,11 +262,12 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def _list_metered(scene: Scene) -> Iterator[Pin]:
-    """Yield pins of subcircuits whose through quantity a probe reads from an ammeter.
+    """Yield the pins of subcircuits at which a probe needs an ammeter.
 
-    Probes read it as ``PART.power``, as ``PART.PIN.current`` or another flow such as
-    ``PART.PIN.force``, and as ``PART.current``, which is the flow through the first pin.
-    ``PART.force`` is a result of the part.
+    A probe of ``PART.power`` needs ammeters at all powered pins. A probe of ``PART.PIN.current``,
+    or of another flow such as ``PART.PIN.force``, needs an ammeter at the pin. A probe of
+    ``PART.current`` needs an ammeter at the first pin. ``PART.force`` is a result of the part
+    itself.
     """
     for of in scene.probed_results:
         name, _, quantity = of.partition(".")
@@ -278,7 +278,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
         for pin, domain in metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
-            paired = part.reduced and not domain.reference  # result of the body itself
+            paired = part.reduced and not domain.reference  # its result without an ammeter
             if (
                 (quantity == "power" and pin in powered)
                 or quantity in (f"{pin}.power", f"{pin}.{flow}")
@@ -292,18 +292,18 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the results of a part include the current through a pin of the body."""
+    """Return whether the only other part at a pin of a body reports the pin's current."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined(body.name, pin):
         part = scene.parts[name]
         if not part.reduced:
-            records[name] = BuildRecord(Rest(), part.type.vectors(part, build))
+            records[name] = BuildRecord(EquilibriumConditions(), part.type.vectors(part, build))
     return find_current_into(body, pin, replace(build, records=records)) is not None
 
 
 def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:
-    """Reject a required pin that is not joined."""
+    """Reject a scene with a required pin that is not joined."""
     for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
             raise _make_unjoined_error(name, terminal, alone, scene)
@@ -312,10 +312,10 @@ def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:
 def _make_unjoined_error(
     name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene
 ) -> UsageError:
-    """Return the error of a required pin that is not joined.
+    """Return the error about a required pin that is not joined.
 
-    The hint suggests a free pin. A joined pin may have a potential, such as a bias voltage, which
-    the new join would short-circuit. Ground would clamp a motion.
+    The hint suggests a pin that is not joined. A join with a joined pin could short-circuit a
+    voltage, such as a bias, and a join with ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -350,7 +350,7 @@ def _make_unjoined_error(
 
 
 def _require_one_output(scene: Scene) -> None:
-    """Reject a net that two outputs set, or an output on ground."""
+    """Reject a net with two signal outputs, and a signal output on ground."""
     drivers = {"0": "ground"}
     for (name, pin), terminal in scene.terminals.items():
         net = scene.nets[name, pin]
@@ -365,7 +365,7 @@ def _require_one_output(scene: Scene) -> None:
 
 
 def _require_distinct_ends(scene: Scene) -> None:
-    """Reject a part whose two pins are on one net, because it has no effect."""
+    """Reject a part whose two pins are on one net, because the part would have no effect."""
     for part in scene.parts.values():
         pins = scene.pins(part.name)
         if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
@@ -383,8 +383,8 @@ def _require_distinct_ends(scene: Scene) -> None:
 
 
 def _require_no_source_loop(scene: Scene) -> None:
-    """Reject loops of ideal sources, in which currents have no unique value."""
-    union = Groups(["0", *scene.nets.values()])
+    """Reject loops of ideal sources, because their currents have no unique value."""
+    union = DisjointGroups(["0", *scene.nets.values()])
     for part in scene.parts.values():
         for plus, minus in scene.records[part.name].rest.ideal:
             a, b = scene.nets_of(part.name, (plus, minus))
@@ -401,8 +401,8 @@ def _require_no_source_loop(scene: Scene) -> None:
 
 
 def _require_ground(scene: Scene) -> None:
-    """Reject parts without a connection to ground: their potentials are not unique."""
-    union = Groups(["0", *scene.nets.values()])
+    """Reject parts without a connection to ground, because their potentials are not unique."""
+    union = DisjointGroups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
         union.join(first.setdefault(part, net), net)
@@ -417,25 +417,25 @@ def _require_ground(scene: Scene) -> None:
         )
 
 
-class Groups:
-    """Disjoint groups of members, in the order of the members."""
+class DisjointGroups:
+    """Disjoint groups of members, which can be joined."""
 
     def __init__(self, members: Iterable[Hashable]) -> None:
         self._groups = {member: [member] for member in members}
 
     def are_joined(self, a: Hashable, b: Hashable) -> bool:
-        """Return whether two members are in one group."""
+        """Return whether two members are in the same group."""
         return self._groups[a] is self._groups[b]
 
     def join(self, a: Hashable, b: Hashable) -> None:
-        """Join the groups of two members."""
+        """Join the groups that contain two members."""
         first, second = self._groups[a], self._groups[b]
         if first is not second:
             first += second
             self._groups.update(dict.fromkeys(second, first))
 
     def list_groups(self) -> list[list[Any]]:
-        """Return all groups in the order of their first members."""
+        """Return all groups, in the order of the groups' first members."""
         result: dict[int, list[Any]] = {}
         for member, group in self._groups.items():
             result.setdefault(id(group), []).append(member)
@@ -443,7 +443,7 @@ class Groups:
 
 
 def describe_nets(scene: Scene) -> tuple[str, ...]:
-    """Return a line of text for each net with more than one pin."""
+    """Describe each net with more than one pin in a line of text."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         nets.setdefault(net, []).append(f"{part}.{pin}")

@@ -1,8 +1,9 @@
 """Reference frames of displacements: the ground, or a frame under acceleration.
 
-A body whose pin of kind ``m/s2`` is joined is fixed to a shaken frame. The displacements of the
-body and of all nets that parts couple to it are relative to this frame, and ``gnd`` is the frame.
-The acceleration a of the frame adds a force on a mass m that moves along the unit vector e::
+If the acceleration pin (kind ``m/s2``) of a body is joined, the body is fixed to a shaken frame.
+The displacements of the body, and of all nets that parts couple to the body, are then relative to
+this frame, and ``gnd`` is the origin of the frame. A mass m that moves along the unit vector e is
+subject to the acceleration a of the frame::
 
     m x'' = F - m a . e
 """
@@ -16,19 +17,19 @@ from operator import mul
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.rows import PERPENDICULAR_COSINE, FrameShake, ShakenFrame
+from kc2spice.scene.part_records import PERPENDICULAR_COSINE, FrameShake, ShakenFrame
 
-# units of pins that move the body or sense its motion
+# units of pins that move a body or sense a motion
 MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
-    """Return the accelerated frame of every pin whose displacement is relative to such a frame.
+    """Return the accelerated frame of every pin whose displacement is relative to one.
 
     Raises
     ------
-    UsageError : nets that parts couple are in different frames, a part with inertia does not follow
-        the frame, or a direction is not known.
+    UsageError : a part couples nets in different frames, a part with inertia does not take the
+        acceleration of its frame into account, or a direction is not known.
     """
     bodies = {}
     for part in scene.bodies:
@@ -54,7 +55,7 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
 
 
 def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
-    """Return the frames of the motions of a body by pin; empty without an acceleration."""
+    """Return the frame of each moving pin of a body; empty for a body that is not shaken."""
     directions = part.type.directions(part, scene)
     accelerations = {}
     for terminal in scene.pins(part.name):
@@ -75,16 +76,16 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
 
 
 def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
-    """Return the cosine between two unit vectors, None if a vector is unknown."""
+    """Return the cosine of the angle between two unit vectors; None if one is unknown."""
     if a is None or b is None:
         return None
     return float(sum(map(mul, a, b)))
 
 
 def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
-    """Return the pins of a part that move and are not on ground.
+    """Return the moving pins of a part that are not on ground.
 
-    With ``listening`` they include signal inputs that read a displacement or velocity.
+    With ``listening``, the result includes signal inputs that read a displacement or a velocity.
     """
     result = []
     for terminal in scene.pins(part.name):
@@ -95,16 +96,16 @@ def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[s
 
 
 def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str) -> None:
-    """Set the frame of a net; refuse a net in two frames."""
+    """Store the frame of a net; reject a net in two different frames."""
     if net == "0":
         return
     first = known.setdefault(net, frame)
-    if first.acts != frame.acts:
+    if first.node_shares != frame.node_shares:
         raise UsageError(
             "this connection joins displacements in different frames of reference",
             where=where,
-            got=f"relative to a frame that {first.words} shakes, and to a frame that "
-            f"{frame.words} shakes",
+            got=f"relative to a frame that {first.description} shakes, and to a frame that "
+            f"{frame.description} shakes",
             expected="bodies with the same acceleration along the same axis",
             hint="connect the acceleration pins of both bodies to one source, or separate the "
             "bodies",
@@ -112,7 +113,7 @@ def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, wher
 
 
 def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
-    """Set the frame of all nets that a part couples."""
+    """Store the frame of one net of a part for all moving nets of the part."""
     nets = scene.nets_of(part.name, _moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
@@ -121,7 +122,7 @@ def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> No
 
 
 def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:
-    """Refuse a part that compares a relative displacement with an absolute one."""
+    """Reject a part that compares displacements relative to different frames."""
     if part.reduced:
         return
     moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.moving}
@@ -130,7 +131,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
         net = scene.net(part.name, pin)
         if net in moving:
             frame = known.get(net)
-            acts.add(frame and frame.acts)
+            acts.add(frame and frame.node_shares)
             frames.append(f"{part.name}.{pin} in {_name_frame(frame)}")
     if len(acts) > 1:
         raise UsageError(
@@ -143,14 +144,16 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
 
 
 def _name_frame(frame: ShakenFrame | None) -> str:
-    """Return the frame in words; None is the frame of the ground."""
-    return "the frame of the ground" if frame is None else f"the frame that {frame.words} shakes"
+    """Describe a frame in words; None is the frame of the ground."""
+    return (
+        "the frame of the ground" if frame is None else f"the frame that {frame.description} shakes"
+    )
 
 
 def _require_inertial_force(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
-    """Reject a part that needs the inertia force of its frame and has no pin for it."""
+    """Reject a part with inertia that has no pin for the acceleration of its frame."""
     if shaken:
         return
     for pin in _moving_pins(part, scene):
@@ -189,7 +192,7 @@ def _require_inertial_force(
 
 
 def describe_frames(scene: Scene) -> Iterator[str]:
-    """Yield the reference frame of the displacements of each net, for ``explain``."""
+    """Yield a description of the reference frame of each displacement, for ``explain``."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]
@@ -203,5 +206,5 @@ def describe_frames(scene: Scene) -> Iterator[str]:
         if frame is None:
             yield f"{', '.join(pins)}: absolute"
         else:
-            meaning = f"relative to the frame that {frame.words} shakes; gnd is that frame"
+            meaning = f"relative to the frame that {frame.description} shakes; gnd is that frame"
             yield f"{', '.join(pins)}: {meaning}"

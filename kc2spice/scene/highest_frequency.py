@@ -1,4 +1,4 @@
-"""Highest frequency of a scene, which determines the resolution of its parts."""
+"""Highest frequency of a scene, up to which the parts resolve their physics."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from kc2spice.scene.model import GovernedScene
 
 
 def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
-    """Return the highest frequency [Hz] that a scene drives its parts with.
+    """Return the highest frequency [Hz] with which a scene drives its parts.
 
-    For ``ac`` and ``noise`` it is the end of their range, for ``dc`` and ``op`` zero. In a
-    transient it is the largest frequency of all sines and carriers. For a wave with edges, the
-    frequency below which it has 99.9 % of its energy is used. A ``resolved_frequency`` of the
-    scene replaces the result.
+    In an ``ac`` or ``noise`` analysis, the result is the end of the frequency range, and in a
+    ``dc`` or ``op`` analysis it is zero. In a transient, the result is the largest frequency of all
+    sines, carriers and waves with edges. The frequency of a wave with edges is the frequency below
+    which the wave has 99.9 % of its energy. If the scene has a ``resolved_frequency``, this is the
+    result.
 
     Parameters
     ----------
     scene : the scene.
-    constant : time constant [s] of a filter before voltages and forces, such as a coil.
+    constant : time constant [s] of a filter between the sources and the part, such as a coil.
     """
     if scene.resolved_frequency is not None:
         return scene.resolved_frequency

@@ -1,4 +1,4 @@
-"""Keys of scenes and part types with units, defaults and choices."""
+"""Lists of the keys of scenes and part types, with units, defaults and choices."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pydantic.fields import FieldInfo
 from kc2spice.core.quantities import find_unit, list_keys
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import load_part_types
-from kc2spice.scene.settings import Frame, Probe
+from kc2spice.scene.settings import Probe, SceneKeys
 
 
 @dataclass(frozen=True)
 class Key:
-    """Key of a scene file.
+    """Description of a key of a scene file.
 
-    ``unit`` is ``""`` for plain numbers and None for other values. ``integer`` marks whole numbers,
-    ``mixed`` numbers whose unit follows from other keys.
+    ``unit`` is ``""`` for plain numbers, and None for values that are no numbers. ``integer`` marks
+    whole numbers, and ``mixed`` marks numbers whose unit depends on other keys.
     """
 
     name: str
@@ -35,13 +35,13 @@ class Key:
 
 
 def _list_kinds(annotation: Any) -> Iterator[Any]:
-    """Yield the types and the choices of an annotation."""
+    """Yield the types and the literal choices in an annotation."""
     arguments = get_args(annotation)
     return chain.from_iterable(map(_list_kinds, arguments)) if arguments else iter((annotation,))
 
 
 def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
-    """Yield all keys of a schema in its order, with dotted names for keys of its tables."""
+    """Yield all keys of a schema in order, with dotted names for the keys of subtables."""
     for path, field in list_keys(model):
         default = _find_default(field)
         doc, kinds = field.description or "", dict.fromkeys(_list_kinds(field.annotation))
@@ -54,35 +54,38 @@ def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
 
 
 def _find_default(field: FieldInfo) -> Any:
-    """Return the default of a key, None without one. Other keys have their defaults."""
+    """Return the default of a key; None if the key is required."""
     if field.is_required():
         return None
     return field.get_default(call_default_factory=True, validated_data={})
 
 
 def list_all_keys() -> Iterator[Key]:
-    """Yield the keys of all scenes, first outside of parts, then by part type.
+    """Yield all keys that scenes may contain: first keys outside of parts, then of part types.
 
-    Keys of a part have the prefix of the table that needs no ``part``, otherwise the type's name.
+    The prefix of the keys of a part type is the name of the part type, or the name of the table
+    that needs no key ``part``.
     """
-    yield from list_schema_keys(Frame)
+    yield from list_schema_keys(SceneKeys)
     for name, kind in load_part_types().items():
         yield from list_schema_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
 
 
 def list_scene_keys(scene: Scene) -> dict[str, Key]:
-    """Return the keys of one scene by their dotted names."""
-    result = [key for key in list_schema_keys(Frame) if not key.name.startswith("probes.")]
+    """Return the keys of one scene, keyed by dotted name."""
+    result = [key for key in list_schema_keys(SceneKeys) if not key.name.startswith("probes.")]
     for name in scene.probes:
         result += list_schema_keys(Probe, f"probes.{name}.")
     for part in scene.parts.values():
-        if part.at != (part.name,):  # otherwise the keys of another part contain them
+        if part.at != (part.name,):  # a part that another part generates
             part_keys = list_schema_keys(type(part.keys), f"{part.key_prefix}.")
-            result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in part_keys]
+            result += [
+                _with_unit_of_part(key, getattr(part.keys, "unit", None)) for key in part_keys
+            ]
     return {key.name: key for key in result}
 
 
-def _with_unit(key: Key, unit: Any) -> Key:
-    """Return ``key`` in the unit of its part, if its unit follows from other keys."""
+def _with_unit_of_part(key: Key, unit: Any) -> Key:
+    """Return ``key`` with the unit that other keys of its part determine, if any."""
     follows = key.unit is None and not key.integer and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key

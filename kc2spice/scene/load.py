@@ -1,4 +1,4 @@
-"""Scenes from the gallery, TOML files or mappings, checked and resolved."""
+"""Loading of scenes from the gallery, TOML files or mappings, with all checks."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
 from kc2spice.scene.overrides import read_overrides, set_key, write_example
 from kc2spice.scene.parttype import find_part_type, type_names
-from kc2spice.scene.plausible import apply_action, check_drive_levels
+from kc2spice.scene.plausible import apply_check_action, check_drive_levels
 from kc2spice.scene.problems import check_periods, check_scene
 from kc2spice.scene.resolve import resolve, with_governed
 from kc2spice.scene.scene_file import SceneFile, open_scene
-from kc2spice.scene.settings import Analysis, Frame
+from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
-_GRAMMAR_KEYS = ("part", "pins")  # keys of every part table
+_GRAMMAR_KEYS = ("part", "pins")  # keys that every table of a part may contain
 
 
 def load_scene(
     scene: Scene | str | Path | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Scene:
-    """Read a scene, apply overrides in order, check it and join its parts.
+    """Read a scene, apply overrides in order, check the scene and join its parts.
 
     Parameters
     ----------
@@ -111,14 +111,14 @@ def load_scene(
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # an absolute path belongs to a file, not to a key
+        # an absolute path is the path of a file, and no key
         if problem.where is not None and not Path(problem.where).is_absolute():
             problem.where = source.where(problem.where)
         raise
 
 
 def _write_override(tables: Mapping[str, Any], key: str) -> str:
-    """Return an override of a key, with the value of the scene."""
+    """Return an example of an override of ``key``, with the value in the scene."""
     part = key.partition(".")[0]
     keys = _list_part_keys(part, tables[part]) if part in tables else []
     return write_example(key, tables, keys)
@@ -127,14 +127,13 @@ def _write_override(tables: Mapping[str, Any], key: str) -> str:
 def _require_known_parts(
     data: Mapping[str, Any], tables: Mapping[str, Any], source: SceneFile
 ) -> None:
-    """Reject a value for a whole part, and overrides of a part that the scene lacks.
+    """Reject an override of a whole part, and overrides of keys of an unknown part.
 
-    An override with a part type adds a part.
-
-    ``tables`` are the tables of the scene without overrides.
+    An override that contains a part type adds a part. ``tables`` are the tables of the scene
+    without overrides, ``data`` the tables with overrides.
     """
-    known = {*tables, *Frame.model_fields, *DEFAULT_TYPES}
-    parts = [part for part in tables if part not in Frame.model_fields]
+    known = {*tables, *SceneKeys.model_fields, *DEFAULT_TYPES}
+    parts = [part for part in tables if part not in SceneKeys.model_fields]
     for name, table in data.items():
         if name in parts and not isinstance(table, Mapping):
             keys = _list_part_keys(name, tables[name])
@@ -155,7 +154,7 @@ def _require_known_parts(
 
 
 def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]) -> str:
-    """Suggest the first part that has the first of the ``keys``."""
+    """Suggest the first part of the scene that has the first one of the ``keys``."""
     word = next(iter(keys), "")
     owners = (part for part in parts if f"{part}.{word}" in _list_part_keys(part, tables[part]))
     owner = next(owners, None)
@@ -163,18 +162,18 @@ def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Seq
 
 
 def _copy_tables(value: Any) -> Any:
-    """Return a copy with tables and lists that may be changed."""
+    """Return a deep copy of tables and lists."""
     if isinstance(value, Mapping):
         return {key: _copy_tables(item) for key, item in value.items()}
     return list(map(_copy_tables, value)) if isinstance(value, (list, tuple)) else value
 
 
 def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
-    """Return the checked and resolved scene of tables; ``where`` of errors is a key."""
+    """Return the checked and resolved scene of the tables ``data``; errors name keys."""
     types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
     try:
-        scene = Scene(_validate_table(Frame, frame, ()), {}, home=source.folder)
+        scene = Scene(_validate_table(SceneKeys, frame, ()), {}, home=source.folder)
     except UsageError as error:
         error.hint = _suggest_probed_result(data, source, error) or error.hint
         raise
@@ -186,7 +185,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     for problem in check_scene(scene):
         raise problem
     scene = resolve(_with_default_drive(scene))
-    implausible = apply_action(check_drive_levels(scene), scene.checks.plausible)
+    implausible = apply_check_action(check_drive_levels(scene), scene.checks.plausible)
     start_errors = find_start_errors(scene, scene.rests)
     for problem in chain(check_periods(scene), start_errors, implausible):
         raise problem
@@ -215,7 +214,7 @@ def _suggest_probed_result(
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
-    """Return all parts, and the analysis that they imply."""
+    """Return all parts, and the analysis that a part generates, if any."""
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -239,11 +238,11 @@ def _make_parts(
 
 
 def _with_default_drive(scene: Scene) -> Scene:
-    """Return the scene with 1 V at its port if nothing drives an ``ac`` analysis.
+    """Return the scene; a source of 1 V is added if nothing drives an ``ac`` analysis.
 
     Raises
     ------
-    UsageError : nothing drives the scene, and it does not have exactly one free electrical port.
+    UsageError : nothing drives the scene, and the number of free electrical ports is not one.
     """
     parts = scene.parts
     if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
@@ -272,9 +271,10 @@ def _with_default_drive(scene: Scene) -> Scene:
 
 
 def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
-    """Return the source that an ``ac`` analysis without a source may contain.
+    """Return the table of a suitable source for an ``ac`` analysis without a source.
 
-    It drives a ``port``, otherwise the first pin of the scene with a force, current or other flow.
+    The source drives one of the ``ports``, or otherwise the first pin of the scene with a force, a
+    current or another flow.
     """
     for part in scene.parts.values():
         for pin in part.type.pins(part, scene):
@@ -294,10 +294,10 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
 
 
 def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the tables of parts with their names."""
+    """Yield the name and the table of each part."""
     spellings: dict[str, str] = {}
     for name, table in data.items():
-        if name in Frame.model_fields:
+        if name in SceneKeys.model_fields:
             continue
         if not isinstance(table, Mapping) and name in DEFAULT_TYPES:
             expected = f"a table, [{name}]"
@@ -327,10 +327,10 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
 
 
 def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
-    """Return the error of an unknown key at the top level, which may be the key of a part."""
+    """Return the error about an unknown key at the top level of a scene."""
     parts, part_keys = [], []
     for item, table in data.items():
-        if isinstance(table, Mapping) and item not in Frame.model_fields:
+        if isinstance(table, Mapping) and item not in SceneKeys.model_fields:
             parts.append(item)
             part_keys += _list_part_keys(item, table)
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
@@ -339,8 +339,9 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
     return UsageError(
         "unknown key",
         where=name,
-        expected=f"one of {list_candidates(name, Frame.model_fields)}, or a table with part = TYPE",
-        hint=did_you_mean(name, Frame.model_fields)
+        expected=f"one of {list_candidates(name, SceneKeys.model_fields)}, "
+        "or a table with part = TYPE",
+        hint=did_you_mean(name, SceneKeys.model_fields)
         or (f"write {name} below [analysis]" if name in Analysis.model_fields else None)
         or did_you_mean(name, part_keys)
         or below,
@@ -348,17 +349,17 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of the part ``name``; empty for an unknown type."""
+    """Return the dotted keys of the part ``name``; empty for an unknown part type."""
     kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
 
 
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
-    """Return the part type from a table or its name."""
+    """Return the part type that the key ``part`` of a table or the table's name states."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
-        near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
+        near = did_you_mean(name, [*SceneKeys.model_fields, *DEFAULT_TYPES])
         for key in ("type", "kind", "parttype", "Part"):
             if isinstance(table.get(key), str) and find_part_type(table[key].lower()) is not None:
                 near = f'write  part = "{table[key].lower()}"  in place of {key} = "{table[key]}"'
@@ -392,10 +393,11 @@ def _make_part(
     short: tuple[str, ...] = (),
     tables: Mapping[str, Any] = MappingProxyType({}),
 ) -> Part:
-    """Return the part of a table.
+    """Return the part that a table describes.
 
-    ``at`` is the path of the table in the file, if this is not its name. ``short`` are all tables
-    of the scene if the name of the table is its type: some keys then depend on them. ``tables`` are
+    ``at`` is the path of the table in the file if the path is not the name of the table. If the
+    name of the table implies the part type, ``short`` contains all tables of the scene, because
+    some keys may then depend on other tables. ``tables`` are
     all tables of the scene, from which an error suggests pins.
     """
     pins = table.get("pins", {})
@@ -412,7 +414,7 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
     """List the pins of a part that is alone in a scene; empty if its pins depend on others."""
     with suppress(Exception):  # the pins are a suggestion only
         part = _make_part(name, {**table, "pins": {}}, kind, home)
-        alone = Scene(Frame(name=name), {name: part}, home=home)
+        alone = Scene(SceneKeys(name=name), {name: part}, home=home)
         return [pin.name for pin in kind.pins(part, replace(alone, ports="all"))]
     return []
 
@@ -420,7 +422,7 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
 def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
     """Return the first pin of another part, ground if the scene has no other part with pins."""
     for other, table in tables.items():
-        if other != name and other not in Frame.model_fields and isinstance(table, Mapping):
+        if other != name and other not in SceneKeys.model_fields and isinstance(table, Mapping):
             with suppress(UsageError):
                 for pin in _list_pins(other, table, _find_part_type(other, table), home):
                     return f"{other}.{pin}"
@@ -468,7 +470,7 @@ def _validate_table(
     at: tuple[str | int, ...],
     context: Mapping[str, Any] | None = None,
 ) -> Any:
-    """Return the table ``at`` as an instance of its ``schema``.
+    """Convert the table at the path ``at`` to an instance of its ``schema``.
 
     Raises
     ------
@@ -482,9 +484,9 @@ def _validate_table(
 
 
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
-    """Return ``table`` with defaults of the schema in its inner tables.
+    """Return ``table``, whose subtables are completed by the defaults of the schema.
 
-    ``ring = { outer = "6 mm" }`` changes only the outer diameter of the default ring.
+    For example, ``ring = { outer = "6 mm" }`` changes only the outer diameter of the default ring.
     """
     result = dict(table)
     for name, field_ in schema.model_fields.items():

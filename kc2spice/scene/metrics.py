@@ -1,7 +1,7 @@
-"""Metrics of a run: the values of the parts and probes of its scene.
+"""Computation of the metrics of a run from the parts and probes of its scene.
 
-The input is the waves of a run and the build of its scene. A probe reads one wave; its value is
-computed in :mod:`kc2spice.core.probe_values`.
+The input is the waves of a run and the build of its scene. A probe reads one wave; the module
+:mod:`kc2spice.core.probe_values` computes the value of the probe.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ from kc2spice.scene.settings import Probe
 
 
 class Metrics(NamedTuple):
-    """Metrics, and SI units of the metrics with a unit, keyed by dotted name."""
+    """Values of metrics, and SI units of those metrics that have a unit, by dotted name."""
 
     values: dict[str, Any]
     units: dict[str, str]
 
 
 def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
-    """Return the metrics of probes and parts; for ``partial`` waves, those that exist.
+    """Return the metrics of probes and parts; for ``partial`` waves, only available ones.
 
-    A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
+    If several parts have a metric of the same name, the name of the part precedes the name of the
+    metric: ``left.kick_stroke_m``.
     """
-    return _split_metrics(_metrics(waves, build, partial=partial))
+    return _split_metrics(_list_metrics(waves, build, partial=partial))
 
 
 def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
-    """Return the values of metrics in the same tables, and their units by dotted name."""
+    """Split nested tables of metrics into tables of values, and units by dotted name."""
     result = Metrics({}, {})
     for name, item in rows.items():
         value, unit = (item.value, item.unit) if isinstance(item, Metric) else (item, "")
@@ -54,8 +55,8 @@ def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
     return result
 
 
-def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]:
-    """Return records of metrics by name."""
+def _list_metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]:
+    """Return the metrics of probes and parts with their units, keyed by name."""
     scene, result = build.scene, dict[str, Mapping[str, Any]]()
     for part in scene.parts.values():
         with suppress(*([KeyError] if partial else [])):
@@ -68,21 +69,21 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     records |= noise_analysis.noise_metrics(waves, build) if NOISE_WAVE in waves else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
-        window = window_of(probe, scene)
+        window = find_probe_window(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
             probed[name] = _evaluate_probe(name, probe, build, waves)
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
 def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
-    """Return whether the waves of an early end contain everything that a probe reads."""
+    """Return whether the waves of an interrupted run contain all points that a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.places.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
 
 
 def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
-    """Return the SI unit of what a probe reads from a wave."""
+    """Return the SI unit of the value that a probe computes from a wave."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.dc_sweep is not None:
         scale = build.dc_sweep.unit
@@ -91,13 +92,13 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
 
 
 def _level_reference(probe: Probe, build: Build) -> float:
-    """Return the rms pressure [Pa] at 0 dB of the result of a probe."""
+    """Return the rms pressure [Pa] at 0 dB for the result that a probe reads."""
     result = build.results.vectors.get(probe.of)
     return (result.level_reference if result else None) or GAS_REFERENCE
 
 
 def read_levels(build: Build, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
-    """Return the sound pressure levels of probes among the ``metrics`` of a run."""
+    """Return those ``metrics`` of a run that are sound pressure levels of probes."""
     result = {}
     for name, probe in build.scene.probes.items():
         if probe.take == "spl":
@@ -110,10 +111,11 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
 
     Raises
     ------
-    UsageError : the run does not contain the vector, or a place is outside of its scale.
+    UsageError : the run does not contain the probed wave, or a position of the probe is outside of
+        the scale.
     """
     unit, reference = _probe_unit(probe, build, waves), _level_reference(probe, build)
-    window, where = window_of(probe, build.scene), f"probes.{name}"
+    window, where = find_probe_window(probe, build.scene), f"probes.{name}"
     if probe.of not in waves:
         known = list(waves.data)[1:]
         raise unknown("the run has no such result", probe.of, known, f"key {where}.of")
@@ -130,8 +132,8 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
     return Metric(value, unit)
 
 
-def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
-    """Return the first and the last place on the scale that a probe reads.
+def find_probe_window(probe: Probe, scene: Scene) -> tuple[float, float] | None:
+    """Return the first and the last position on the scale that a probe reads.
 
     The result is None if the probe reads the whole scale.
     """

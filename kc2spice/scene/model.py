@@ -1,8 +1,8 @@
-"""Scenes as data, and the base class of all part types.
+"""Classes of scenes, parts and builds, and the base class of all part types.
 
-A scene contains parts by name, which are joined at typed pins. Scene, part, part type and build
-refer to each other. Part types are classes in other modules, which register them
-(:mod:`kc2spice.scene.parttype`).
+A scene contains parts, keyed by name, which are joined at typed pins. The classes are in one module
+because scene, part, part type and build refer to each other. Other modules define part types and
+register them (:mod:`kc2spice.scene.parttype`).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.quantities import Section
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.scene.rows import (
+from kc2spice.scene.part_records import (
     DcSweep,
+    EquilibriumConditions,
     Governed,
     HighestFrequency,
     LargestRealPart,
     Neglected,
     Numerics,
-    Rest,
     SampledSource,
     SceneResults,
     ShakenFrame,
@@ -43,7 +43,16 @@ from kc2spice.scene.rows import (
     SweptSource,
     Vector,
 )
-from kc2spice.scene.settings import Analysis, Bench, Checks, ErrorLimits, Frame, Probe, Rom, Solver
+from kc2spice.scene.settings import (
+    Analysis,
+    Bench,
+    CheckActions,
+    ErrorLimits,
+    Probe,
+    Rom,
+    SceneKeys,
+    Solver,
+)
 
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, FileWriter, Shape
@@ -71,17 +80,18 @@ T = TypeVar("T")
 S = TypeVar("S", bound=Section)
 KeysT = TypeVar("KeysT", bound=Section, default=Section, covariant=True)
 M = TypeVar("M")
-# Output of a controller as a function of the time [s] and the inputs.
+# Function that returns the output of a controller from the time [s] and the inputs.
 ControllerFunction = Callable[[float, Mapping[str, float]], float]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Pin of a part, with the meaning of 1 V and 1 A (``flow="-"`` for a signal).
+    """Pin of a part, with the units that 1 V and 1 A represent.
 
-    ``default`` is the target of a pin that the scene does not join (``"gnd"`` or ``"part.pin"``).
-    A ``required`` pin must be joined. ``signal_out`` marks the pin that sets a signal.
-    ``rated`` [V] is the largest voltage that an electrode withstands, if it is known.
+    1 V on the pin represents one ``unit``, and 1 A one ``flow``, which is ``"-"`` for a signal. A
+    pin that the scene does not join is joined to the target ``default`` (``"gnd"`` or
+    ``"part.pin"``). A ``required`` pin must be joined. ``signal_out`` marks a pin that sets a
+    signal. ``rated`` [V] is the largest voltage that an electrode withstands; None if unknown.
     """
 
     name: str
@@ -94,12 +104,12 @@ class Terminal:
 
     @classmethod
     def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Return a conservative pin of a domain."""
+        """Return a pin of a conservative domain."""
         return cls(name, *domain.units, default)
 
     @classmethod
     def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Return a pin with the rate of the across quantity of a domain, such as a velocity."""
+        """Return a pin whose quantity is the rate of a domain's across quantity (a velocity)."""
         assert domain.rate is not None, f"{domain.name} has no rate"
         return cls(name, domain.rate.pin_unit, domain.flow, default)
 
@@ -107,17 +117,17 @@ class Terminal:
     def signal(
         cls, name: str, quantity: Quantity, *, required: bool = False, signal_out: bool = False
     ) -> Terminal:
-        """Return a signal pin of a quantity."""
+        """Return a pin whose signal is a quantity."""
         return cls(name, quantity.pin_unit, SIGNAL, required=required, signal_out=signal_out)
 
     @property
     def kind(self) -> str:
-        """Units of the pin in words; only pins with the same units may be joined."""
+        """Description of the pin's units; only pins with the same units may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
     def moving(self) -> bool:
-        """Whether the quantity of the pin is a motion under a force."""
+        """Whether the pin moves and can carry a force."""
         return self.domain is not None and bool(self.domain.frame)
 
     @property
@@ -127,21 +137,22 @@ class Terminal:
 
     @property
     def domain(self) -> Domain | None:
-        """Physical domain of the pin, None for a signal."""
+        """Physical domain of the pin; None for a signal."""
         return domain_of(self.unit, self.flow)
 
     @property
     def across(self) -> Quantity | None:
-        """Quantity across the pin, None for a signal without a domain."""
+        """Across quantity of the pin; None for a signal without a domain."""
         return across_of(self.unit)
 
 
 @dataclass(frozen=True)
 class Part(Generic[KeysT]):
-    """Part of a scene with its checked keys and its joined pins.
+    """Part of a scene with its checked keys and the targets of its pins.
 
-    ``keys`` is an instance of the type's schema. A part with its own table has an empty ``at``.
-    If another part has generated this part, ``at`` is the path of its keys in the other part.
+    ``keys`` is an instance of the schema of the part type. ``at`` is empty if the scene contains a
+    table for this part. If another part has generated this part, ``at`` is the path of this part's
+    keys in the table of the other part.
     """
 
     name: str
@@ -151,11 +162,11 @@ class Part(Generic[KeysT]):
     at: tuple[str | int, ...] = ()
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """Return the part if its keys are an instance of ``schema``.
+        """Return the part, typed as a part with keys of the class ``schema``.
 
         Raises
         ------
-        TypeError : the keys are of another class.
+        TypeError : the keys are no instance of ``schema``.
         """
         if not isinstance(self.keys, schema):
             raise TypeError(
@@ -166,7 +177,7 @@ class Part(Generic[KeysT]):
 
     @property
     def key_prefix(self) -> str:
-        """Dotted name of the table with the keys of the part."""
+        """Dotted name of the table that contains the keys of the part."""
         return ".".join(map(str, self.at or (self.name,)))
 
     @property
@@ -176,18 +187,18 @@ class Part(Generic[KeysT]):
 
     @property
     def reduced(self) -> bool:
-        """Whether the part is a body, whose model is reduced according to ``rom``."""
+        """Whether the part is a body, whose model is reduced according to the table ``rom``."""
         return hasattr(self.keys, "rom")
 
     @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
-        """Ranges of the keys of a body that become parameters of its netlist."""
+        """Ranges of those keys of a body that become parameters of its netlist."""
         rom: Rom | None = getattr(self.keys, "rom", None)
         return (rom.parameters if rom else None) or {}
 
     @property
     def declares_ports(self) -> bool:
-        """Whether the part is a body from files that declare the ports."""
+        """Whether the part is a body whose ports are declared in files."""
         return self.reduced and self.type.ports_of_files
 
     def wrong(
@@ -198,7 +209,7 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """Return an error about a key of the part, or about the part if ``key`` is empty."""
+        """Return an error about a key of the part, or if ``key`` is empty about the part."""
         where = f"{self.name}.{key}" if key else self.name
         return wrong(where, message, got, expected, hint)
 
@@ -208,32 +219,33 @@ class Part(Generic[KeysT]):
 
 
 @dataclass(frozen=True)
-class Record(Generic[T]):
-    """Properties of a part that are known before any model is built.
+class PartRecord(Generic[T]):
+    """Record of the properties of a part that are known before any model is built.
 
-    :mod:`kc2spice.scene.resolve` calls the method of :class:`PartType` for each of them once.
-    ``rest`` is the result of :meth:`PartType.at_rest`, ``shared_data`` an object of a class of the
-    part's package. The other fields have the names of their methods.
+    Each field is the result of one method of :class:`PartType`, which the module
+    :mod:`kc2spice.scene.resolve` calls once. ``rest`` is the result of the method
+    :meth:`PartType.at_rest`. All other fields have the name of their method. The class of
+    ``shared_data`` is defined in the package of the part.
     """
 
     part: Part
     governed_parts: Mapping[str, State | Governed] = field(default_factory=dict)
     highest_frequency: HighestFrequency | None = None
     shared_data: T | None = None
-    rest: Rest = field(default_factory=Rest)
+    rest: EquilibriumConditions = field(default_factory=EquilibriumConditions)
     numerics: tuple[Numerics, ...] = ()
     reduction: Rom | None = None
 
 
 class NameAllocator:
-    """Allocator of names that differ in more than letter case."""
+    """Allocator of netlist names that differ in more than letter case."""
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
         self.reserved = set(map(str.lower, reserved))
         self.assigned: dict[Hashable, str] = {}
 
     def name(self, key: Hashable, preferred: str) -> str:
-        """Return the name of ``key``: the ``preferred`` name or a similar one."""
+        """Return the name for ``key``: the ``preferred`` name, or a similar unused name."""
         if key not in self.assigned:
             free, count = preferred, 1
             while free.lower() in self.reserved:
@@ -245,7 +257,7 @@ class NameAllocator:
 
 
 class SceneSource(Protocol):
-    """Text of a scene's file together with its overrides."""
+    """Protocol of the text of a scene file with its overrides."""
 
     def where(self, key: str) -> str:
         """Return file, line and name of a key."""
@@ -256,17 +268,18 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DeclaredScene:
-    """Scene as its file declares it: checked keys and parts.
+    """First stage of a scene: the checked keys and parts that its file declares.
 
-    ``parts`` are in the order of the file; parts that another part expands to follow that part.
-    ``home`` is the folder of the file. ``ports`` selects the ports of bodies: the required ports,
-    all declared ports for an export (:attr:`Part.declares_ports`), or all ports for documentation.
-    ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
-    from the analysis. ``workspace`` contains large results, such as meshes, for this scene and for
-    scenes that are made from it.
+    ``frame`` contains the keys outside of parts. ``parts`` are in the order of the file; parts that
+    another part creates come directly after that part. ``home`` is the folder of the file.
+    ``ports`` selects the ports of bodies: the needed ports, all declared ports for an export
+    (:attr:`Part.declares_ports`), or all ports for documentation. ``resolved_frequency`` [Hz] is
+    the highest frequency up to which the parts resolve their physics, or None if the analysis
+    determines it. ``workspace`` contains large results, such as meshes, for this scene and for
+    scenes that are made from this scene.
     """
 
-    frame: Frame
+    frame: SceneKeys
     parts: Mapping[str, Part]
     home: Path = Path()
     ports: Literal["needed", "declared", "all"] = "needed"
@@ -290,7 +303,7 @@ class DeclaredScene:
 
     @property
     def error_budget(self) -> float | None:
-        """Relative error of every metric that the run must reach."""
+        """Relative error that the run must reach for every metric."""
         return self.frame.error_budget
 
     @property
@@ -300,12 +313,12 @@ class DeclaredScene:
 
     @property
     def probes(self) -> Mapping[str, Probe]:
-        """Results to read, by the names of their metrics."""
+        """Probes of the scene, keyed by the names of their metrics."""
         return self.frame.probes
 
     @property
     def probed_results(self) -> tuple[str, ...]:
-        """Results that probes read, each once."""
+        """Names of the results that probes read, without repetitions."""
         return tuple(dict.fromkeys(probe.of for probe in self.probes.values()))
 
     @property
@@ -319,13 +332,13 @@ class DeclaredScene:
         return self.frame.solver
 
     @property
-    def checks(self) -> Checks:
-        """Actions if a check fails."""
+    def checks(self) -> CheckActions:
+        """Actions for violated checks."""
         return self.frame.checks
 
     @property
     def gates(self) -> ErrorLimits:
-        """Limits of differences between solution paths."""
+        """Error limits of differences between solutions in ``verify``."""
         return self.frame.gates
 
     @property
@@ -335,55 +348,56 @@ class DeclaredScene:
 
     @property
     def include(self) -> tuple[str, ...]:
-        """Netlist files beside the scene that its deck includes."""
+        """Netlist files in the folder of the scene that the deck includes."""
         return self.frame.include
 
     @property
     def stop(self) -> float:
-        """End of a transient [s]: ``analysis.stop``, otherwise ``solver.stop``."""
+        """End of a transient [s]: ``analysis.stop`` if present, otherwise ``solver.stop``."""
         stop = self.analysis.stop if self.analysis.type == "transient" else None
         return float(self.solver.stop if stop is None else stop)
 
     @property
     def bodies(self) -> tuple[Part, ...]:
-        """Parts whose models are reduced, in order."""
+        """Parts whose models are reduced, in the order of the scene."""
         return tuple(part for part in self.parts.values() if part.reduced)
 
-    def of(self, *types: str) -> tuple[Part, ...]:
-        """Return all parts of these types, in order."""
+    def list_parts(self, *types: str) -> tuple[Part, ...]:
+        """Return all parts of these part types, in the order of the scene."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
-    def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
-        """Return all parts of the type ``kind``, with keys of the class ``schema``."""
-        return tuple(part.with_schema(schema) for part in self.of(kind))
+    def list_parts_with_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
+        """Return all parts of the part type ``kind``, typed with keys of the class ``schema``."""
+        return tuple(part.with_schema(schema) for part in self.list_parts(kind))
 
-    def only(self, *types: str) -> Part | None:
-        """Return the only part of these types, None if there are no or several parts."""
-        result = self.of(*types)
+    def find_only_part(self, *types: str) -> Part | None:
+        """Return the only part of these part types; None if there is no such part, or several."""
+        result = self.list_parts(*types)
         return result[0] if len(result) == 1 else None
 
     def part(self, name: str, where: str = "scene") -> Part:
-        """Return the part of this name.
+        """Return the part with this name.
 
         Raises
         ------
-        UsageError : no such part exists.
+        UsageError : the scene has no part with this name.
         """
         if name not in self.parts:
             raise unknown("the scene has no such part", name, self.parts, where)
         return self.parts[name]
 
     def partner(self, part: Part, kind: str, key: str = "") -> Part:
-        """Return the part that ``part`` names under ``key``, or the only part of the type.
+        """Return the part that the key ``key`` of ``part`` names, by default the only one.
 
         Raises
         ------
-        UsageError : no part is named and there is not exactly one.
+        UsageError : the key names no part of the type ``kind``, or names none although there is not
+            exactly one part of this type.
         """
         name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
             return self.part(name, f"{part.name}.{key}")
-        result = self.of(kind)
+        result = self.list_parts(kind)
         if not result:
             raise UsageError(
                 f"{part.name} needs a part that the scene does not have",
@@ -404,47 +418,47 @@ class DeclaredScene:
         return part.type.is_subcircuit(part, self)
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Return whether ``pins`` of a part name this pin, so that no default applies."""
+        """Return whether a part names this pin as a target, so that its default does not apply."""
         targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
         return f"{part}.{pin}" in targets
 
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """Scene with the governed parts and the details of its parts.
+    """Second stage of a scene, in which governed parts are known.
 
-    ``records`` contains the properties of each part, keyed by name. Three fields follow from the
-    governed parts: ``movers`` names the part that prescribes all motion of another part.
-    ``initial_states`` contains the stated states at t = 0. ``without_cards`` names the parts that
-    others copy or move. ``frames`` contains the shaken frame of each pin whose displacement is not
-    absolute.
+    A governed part is a part that another part moves, copies or gives an initial state. ``movers``
+    maps each moved part to the part that prescribes all its motion. ``initial_states`` contains the
+    states at t = 0 that keys state. ``without_cards`` are the parts that another part copies or
+    moves. ``records`` contains the record of each part, keyed by name. ``frames`` contains the
+    shaken frame of each pin whose displacement is relative to one.
     """
 
-    records: Mapping[str, Record[object]] = field(default_factory=dict)
+    records: Mapping[str, PartRecord[object]] = field(default_factory=dict)
     movers: Mapping[str, str] = field(default_factory=dict)
     initial_states: Mapping[str, State] = field(default_factory=dict)
     without_cards: frozenset[str] = frozenset()
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
-    def record(self, part: Part) -> Record[object] | None:
-        """Return the properties of a part, None if its keys in the scene differ."""
+    def record(self, part: Part) -> PartRecord[object] | None:
+        """Return the record of a part; None if the scene contains a part with other keys."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Scene with the joins that follow from keys (``joins``, keyed by part)."""
+    """Third stage of a scene, with the joins of pins that keys imply, keyed by part."""
 
     joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class WiredScene(JoinedScene):
-    """Scene whose pins are joined to nets.
+    """Fourth stage of a scene, in which pins are joined to nets.
 
-    ``terminals`` contains every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"``
-    is ground).
+    ``terminals`` contains every pin, keyed by ``(part, pin)``, and ``nets`` the netlist node of
+    every pin; ``"0"`` is ground.
     """
 
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
@@ -459,31 +473,32 @@ class WiredScene(JoinedScene):
         return self.nets[part, pin]
 
     def nets_of(self, part: str, pins: Iterable[str]) -> list[str]:
-        """Return the netlist nodes of pins of a part, in the order of the pins."""
+        """Return the netlist nodes of these ``pins`` of a part, in the same order."""
         return [self.nets[part, pin] for pin in pins]
 
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
-        """Return the other pins on the net of a pin; empty on ground."""
+        """Return the other pins on the net of a pin; empty for a pin on ground."""
         net = self.nets[part, pin]
         if net == "0":
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
     def joined_types(self, part: str, pin: str) -> set[str]:
-        """Return the types of the other parts on the net of this pin."""
+        """Return the part types of the other parts on the net of a pin."""
         return {self.parts[name].type.name for name, _ in self.joined(part, pin)}
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(WiredScene):
-    """Checked scene with the properties of all its parts.
+    """Resolved scene with the records of all its parts.
 
-    Part types receive one of the base classes at each stage of
-    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts.
-    ``period`` [s] is the common period of all drives, None if they have none. ``meters`` contains
-    the names of the ammeters at pins. ``names`` contains the names of all other nodes and cards by
-    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the file with all
-    overrides. ``source`` is the text of the file, in which :meth:`where` searches for keys.
+    The base classes are the stages of :func:`kc2spice.scene.resolve.resolve`, in which methods of
+    part types receive the scene. ``numerics`` are the numerical requirements of all parts.
+    ``period`` [s] is the common period of all drives; None if there is no common period. ``meters``
+    contains the names of the ammeters at pins. ``names`` contains the names of all other nodes and
+    cards, keyed by ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the
+    file with all overrides. ``source`` is the text of the file, in which :meth:`where` searches for
+    keys.
     """
 
     numerics: tuple[Numerics, ...] = ()
@@ -494,18 +509,18 @@ class Scene(WiredScene):
     source: SceneSource | None = None
 
     def where(self, key: str) -> str:
-        """Return file, line and name of a key; the name alone without a file."""
+        """Return file, line and name of a key; for a scene without a file, only the name."""
         return key if self.source is None else self.source.where(key)
 
     def select_overridden_key(self, first: str, second: str) -> str:
-        """Return ``first`` if overrides set it and not ``second``; otherwise ``second``."""
+        """Return the key ``first`` if overrides set only this key; otherwise ``second``."""
         if self.source is None or self.source.overrides_key(second):
             return second
         return first if self.source.overrides_key(first) else second
 
     @property
-    def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part in equilibrium, before any model is built."""
+    def rests(self) -> dict[str, EquilibriumConditions]:
+        """Equilibrium conditions of each part before models are built, keyed by part name."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -514,11 +529,11 @@ class Scene(WiredScene):
 
 
 def scene_hash(scene: Scene) -> str:
-    """Return 16 hex digits of the SHA-256 of all values that a netlist depends on.
+    """Return 16 hexadecimal digits of the hash of all values that a netlist depends on.
 
-    Names, titles, gates, the actions on a failed run and keys without a value have no effect, so
-    that a new key leaves old hashes unchanged. Floats have all their digits: equal hashes mean
-    bit-equal netlists.
+    The names and titles of scenes, error limits, actions of checks, and keys without a value do not
+    change the hash. A new optional key therefore leaves old hashes unchanged. Numbers are hashed
+    with all digits: scenes with equal hashes have netlists that are equal bit by bit.
     """
     without = {"name", "title", "checks", "gates", "bench"}
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
@@ -530,7 +545,7 @@ def scene_hash(scene: Scene) -> str:
         if part.declares_ports:
             declaring.append(part.name)
     content["parts"] = parts
-    # A part without a scene always has all of its ports.
+    # A body that is the only part of its scene always has all of its ports.
     if scene.ports == "declared" and len(parts) > 1 and declaring:
         content["every_port"] = declaring
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -539,29 +554,30 @@ def scene_hash(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class BuildRecord:
-    """Properties of one part of a build; a part without cards has no results.
+    """Record of one part of a build; a part without cards has no results.
 
     The fields are the results of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
     :meth:`PartType.settable`.
     """
 
-    rest: Rest
+    rest: EquilibriumConditions
     vectors: Mapping[str, Vector] = field(default_factory=dict)
     settable: Mapping[str, SweptSource | SampledSource | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Build:
-    """Scene with the models of its parts: the basis of netlist, metrics and checks.
+    """Scene with the models of its parts, from which netlist, metrics and checks follow.
 
-    ``models`` contains the results of :meth:`PartType.build` by part, ``libraries`` the names of
-    the subcircuits. ``unjudged`` are parts whose parameters in the deck differ from their keys;
-    these parts have neither checks nor an energy balance. ``largest`` is the largest step of a
-    transient. ``records`` contains the properties of the parts by name
-    (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` the quantities that netlist and
-    probes read, and ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis.
-    ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.get_scene_laws`). ``linearised``
-    contains the eigenmodes of a transient at rest
+    ``models`` contains the results of :meth:`PartType.build`, keyed by part, and ``libraries`` the
+    names of the subcircuits. ``trust`` states whether the user trusts included netlists.
+    ``unchecked_parts`` are parts whose parameters in the deck differ from their keys; for these
+    parts, there are neither checks nor an energy balance. ``functions`` are Python functions that
+    set sources. ``largest_step`` is the largest step of a transient. ``records`` contains the build
+    records of the parts (:func:`kc2spice.scene.resolve.resolve_build`). ``results`` are the results
+    that are saved. ``dc_sweep`` and ``noise_output`` are the sweep and the output of the analysis.
+    ``laws`` are the equations of the parts (:func:`kc2spice.equations.scene_laws.get_scene_laws`).
+    ``linearised`` contains the eigenmodes of the scene at the start of a transient
     (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
     the latest run.
     """
@@ -570,9 +586,9 @@ class Build:
     models: Mapping[str, object]
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
-    unjudged: frozenset[str] = frozenset()
+    unchecked_parts: frozenset[str] = frozenset()
     functions: Mapping[str, ControllerFunction] = field(default_factory=dict)
-    largest: StepLimit | None = None
+    largest_step: StepLimit | None = None
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     results: SceneResults = field(default_factory=SceneResults)
     dc_sweep: DcSweep | None = None
@@ -587,11 +603,11 @@ class Build:
         return self.scene.analysis.type == "noise"
 
     def model(self, part: Part, kind: type[M]) -> M:
-        """Return the model of a part, an instance of ``kind``.
+        """Return the model of a part, which must be an instance of ``kind``.
 
         Raises
         ------
-        TypeError : the part has no model, or a model of another class.
+        TypeError : the part has no model, or its model is no instance of ``kind``.
         """
         result = self.models.get(part.name)
         if not isinstance(result, kind):
@@ -607,7 +623,7 @@ class Build:
 
     @property
     def sampled_sources(self) -> tuple[SampledSource, ...]:
-        """Sources that Python functions set during a transient."""
+        """Sources whose values Python functions set during a transient."""
         if self.scene.analysis.type != "transient":
             return ()
         rows = chain.from_iterable(record.settable.values() for record in self.records.values())
@@ -622,12 +638,12 @@ class Build:
         return result
 
     @property
-    def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part in equilibrium, keyed by part name."""
+    def rests(self) -> dict[str, EquilibriumConditions]:
+        """Equilibrium conditions of each part, keyed by part name."""
         return self.scene.rests | {name: record.rest for name, record in self.records.items()}
 
     def facts(self, part: Part) -> Mapping[str, float]:
-        """Return characteristic values of a part's model, as in ``result.json``."""
+        """Return the characteristic values of a part's model, as in ``result.json``."""
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
@@ -643,29 +659,29 @@ class Build:
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter_name(self, part: Part, pin: str) -> str | None:
-        """Return the name of the ammeter at a pin, None if the pin has no ammeter."""
+        """Return the name of the ammeter at a pin; None if the pin has no ammeter."""
         return self.scene.meters.get((part.name, pin))
 
     def inner_name(self, part: Part, *words: str) -> str:
         """Return the netlist name of an inner node or card (:meth:`PartType.inner_names`).
 
-        The name consists of the words joined by ``_``; if this name is taken, a similar name is
-        used.
+        The name consists of the words, joined by ``_``. If this name is in use, the result is a
+        similar name.
         """
         return self.scene.names[part.name, *words]
 
 
 class PartType(Generic[KeysT]):
-    """Base class of all part types, generic in the class ``schema`` of the keys.
+    """Base class of all part types; ``schema`` is the class of the keys of a part.
 
-    Scenes contain ``part = name``, and ``scenes --parts`` prints ``title``. A subclass overrides
-    the methods that it needs.
+    In a scene file, the key ``part`` has the value ``name``. The command ``scenes --parts`` prints
+    ``title``. A subclass overrides the methods that it needs.
 
-    The class of the argument ``scene`` states when a method is called. A :class:`DeclaredScene`
-    has checked keys, a :class:`GovernedScene` also the parts that others move or copy, and a
-    :class:`JoinedScene` also joins that follow from keys. A :class:`WiredScene` has pins and nets,
-    and a :class:`Scene` the records of all parts. The models exist only in a :class:`Build`.
-    Quantities have SI units.
+    The class of the argument ``scene`` is the stage at which a method is called. A
+    :class:`DeclaredScene` contains checked keys. A :class:`GovernedScene` also contains the parts
+    that other parts move or copy, and a :class:`JoinedScene` the joins that keys imply. A
+    :class:`WiredScene` also contains pins and nets, and a :class:`Scene` the records of all parts.
+    Only a :class:`Build` contains models. All quantities are in SI units.
     """
 
     name: str
@@ -673,18 +689,18 @@ class PartType(Generic[KeysT]):
     schema: type[KeysT]
     # tables of a small example scene (TOML), for ``scenes --parts`` and the docs
     example: str = ""
-    # origin of the model, for ``explain``
+    # origin of the model, which ``explain`` prints
     source: ClassVar[str] = "circuit"
-    # whether the names of the results follow from the model
+    # whether the names of the results depend on the model
     results_of_model: ClassVar[bool] = False
-    # whether the part adds the force ``-m a`` of a shaken frame around its pins
+    # whether the part adds the force ``-m a`` of a shaken frame at its pins
     follows_frames: ClassVar[bool] = False
-    #: whether files name the ports of its bodies
+    #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
-    # dotted keys that set the number of pieces or of series terms; ``verify`` compares with twice
-    # as many
+    # Dotted keys for numbers of pieces or of series terms. ``verify`` compares the solution with a
+    # solution with twice as many.
     discretisations: ClassVar[tuple[str, ...]] = ()
-    # noise sources: resistors of the device in the subcircuit, or a description
+    # names of the resistors of the subcircuit that are noise sources, or a description
     noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
@@ -692,30 +708,30 @@ class PartType(Generic[KeysT]):
     def expand(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return tables of further parts that this part generates.
+        """Return the tables of further parts that this part generates.
 
-        ``data`` contains all tables of the scene.
-        ``at`` in a table is the path of its keys in the file, such as ``("kick", "drive")``. A
-        table ``analysis`` applies if the scene has none.
+        ``data`` contains all tables of the scene. The entry ``at`` of a generated table is the path
+        of its keys in the file, such as ``("kick", "drive")``. A generated table ``analysis`` is
+        used if the scene contains no analysis.
         """
         return {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the part in the order of its subcircuit.
 
-        Called when the pins are joined to nets. By default the part has no pins.
+        This method is called before the pins are joined to nets. By default, a part has no pins.
         """
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return targets of pins that follow from keys of the part.
+        """Return the targets of pins that keys of the part imply, keyed by pin.
 
-        The key ``pins`` overrides these joins.
+        A target in the table ``pins`` overrides a target in the result.
         """
         return {}
 
     def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the files that the part reads, by default the file of its key ``file``."""
+        """Return the files that the part reads, by default the file in the key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
@@ -724,86 +740,89 @@ class PartType(Generic[KeysT]):
     ) -> Mapping[str, State | Governed]:
         """Return the parts that this part governs, keyed by name.
 
-        The value is the :class:`State` [m/s, m] in which another part starts, ``"moved"`` if this
-        part prescribes all motion of the other part, or ``"copied"`` if this part writes the cards
-        of the other part itself. Called first, because the methods of other parts depend on it.
+        The value for another part is the :class:`State` [m/s, m] in which it starts, ``"moved"`` if
+        this part prescribes all its motion, or ``"copied"`` if this part writes its cards. This
+        method is called first, because the methods of other parts depend on the result.
         """
         return {}
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Return the words of the names of inner nodes and further cards.
+        """Return the words of the name of each inner node and each further card.
 
-        :meth:`Build.inner_name` returns the names.
+        :meth:`Build.inner_name` returns the complete names.
         """
         return ()
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return data that other part types of the same package read, in a class of that package.
+        """Return data for other part types of the same package.
 
-        An example are the parameters of a loudspeaker, which its box reads. The data follow from
-        keys and from the governed parts. Other parts read ``scene.record(part).shared_data``.
+        The class of the data is defined in this package. An example are the parameters of a
+        loudspeaker, which the part for its box reads. The data depend only on keys and on governed
+        parts. Other parts read ``scene.record(part).shared_data``.
         """
         return None
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return what supports and loads the part in equilibrium, before its model is built.
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
+        """Return the constraints and loads of the part, before its model is built.
 
-        An operating point exists only if each displacement, temperature or pressure pin has a path
-        to its reference through the parts. The check of the scene searches these paths in the
-        ``paths`` of all parts. By default the part connects each such pin to ground.
+        An operating point exists only if, for each displacement, temperature or pressure pin, a
+        path to the reference leads through the ``paths`` of all parts. By default, the part
+        connects each such pin to ground.
         """
-        return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
+        return EquilibriumConditions(
+            tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path)
+        )
 
     def directions(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
         """Return the directions of motion at the pins, keyed by pin.
 
-        A direction is a unit vector (x, y, z) in the frame of the scene. A pin of unknown direction
-        is absent. The directions determine the inertia forces of shaken frames.
+        A direction is a unit vector (x, y, z) in the coordinates of the scene. Pins with unknown
+        direction are absent. The directions determine the inertia forces in shaken frames.
         """
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins that carry a mass of the part.
 
-        Called if a pin of the part moves with a shaken frame, as on a body with an acceleration
-        port. The part then needs the force ``-m a`` of the frame at these pins
-        (:attr:`follows_frames`). Otherwise the scene is rejected.
+        This method is called if a pin of the part moves with a shaken frame, as on a body with an
+        acceleration port. The part must then add the force ``-m a`` of the frame at the returned
+        pins (:attr:`follows_frames`); otherwise the scene is rejected.
         """
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Yield the faults of the part in this scene; ``where`` is a dotted key.
+        """Yield the errors of the part in this scene, whose ``where`` is a dotted key.
 
-        Implausible keys (:func:`kc2spice.scene.plausible.check_range`) are errors, warnings or
-        nothing, according to ``checks.plausible``.
+        The key ``checks.plausible`` determines whether errors of implausible keys
+        (:func:`kc2spice.scene.plausible.check_range`) stop the run, are warnings, or are ignored.
         """
         return ()
 
     # --- models and netlist -----------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
-        """Return tolerance, band and norm of the reduction, None if the model is not reduced."""
+        """Return tolerance, band and norm of the reduction; None if there is no reduction."""
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
-        """Return the model of the part: fields, reduced matrices or tables.
+        """Build the model of the part: fields, reduced matrices or tables.
 
-        With ``full``, return a more accurate model of the same class: the full
-        :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
-        the scene with this model. The result is None if no model is more accurate.
+        With ``full``, the result is a more accurate model of the same class, with which ``verify``
+        solves the scene: the full :class:`kc2spice.rom.linear_model.LinearModel`, or a table with
+        more nodes. The result is then None if there is no more accurate model.
         """
         return None
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the subcircuit, which is the name of the type if unique."""
-        return self.name if len(scene.of(self.name)) == 1 else part.name
+        """Return the name of the subcircuit: the name of the part type if unique."""
+        return self.name if len(scene.list_parts(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit and, before it, the subcircuits that it uses."""
+        """Return the subcircuits that the part's subcircuit uses, and as last one itself."""
         return ()
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
@@ -811,10 +830,10 @@ class PartType(Generic[KeysT]):
         return type(self).cards is PartType.cards
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
-        """Return the elements of the part in the deck.
+        """Return the elements of the part at the top level of the deck.
 
-        By default these are an instance of its subcircuit, and an ammeter for each flow that a
-        probe reads.
+        By default, the elements are an instance of the part's subcircuit, and an ammeter at each
+        pin whose flow a probe reads.
         """
         nodes, ammeters = [], []
         for pin in build.scene.pins(part.name):
@@ -828,66 +847,67 @@ class PartType(Generic[KeysT]):
     def settable(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, SweptSource | SampledSource | float]:
-        """Return quantities that the equations of the part do not determine.
+        """Return the quantities of the part that can be set from outside.
 
-        By key: the source that a dc sweep varies, or the function that runs during the simulation.
-        By node: the voltage at t = 0 (``.ic``).
+        The result maps a key to the source that a dc sweep of this key varies, or to the Python
+        function that sets a source during the simulation. The result maps a node to its voltage at
+        t = 0 (``.ic``).
         """
         return {}
 
     def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
         """Return whether the part is a source of small signals in an ``ac`` analysis.
 
-        Called when the scene is loaded. If no part drives an ``ac`` analysis, a source of 1 V is
-        added to the only free electrical port.
+        This method is called when the scene is loaded. If no part drives an ``ac`` analysis, a
+        source of 1 V is added at the only free electrical port.
         """
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
         """Return numerical requirements of the part.
 
-        Examples are the frequency and edges of a source, a carrier, a contact, time steps and
-        options of the simulator.
+        Examples of requirements are time steps for the frequency and edges of a source, for a
+        carrier or for a contact, and options of the simulator.
         """
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the limits [V] of the output voltage, infinite without supplies."""
+        """Return the limits [V] of the part's output voltage, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
-        """Return the voltage [V] that the part prescribes from ``ret`` to ``out``, if any."""
+        """Return the voltage [V] that the part prescribes from ``ret`` to ``out``, or None."""
         return None
 
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
-        """Return the frequency [Hz] below which the waves of the part have nearly all energy.
+        """Return a function for the highest frequency [Hz] in the waves of the part.
 
-        The result is a function of the time constant [s] of the filter through which a voltage or
-        force acts.
+        Nearly all energy of the waves is below this frequency. The argument of the function is the
+        time constant [s] of the filter through which the waves act on other parts.
         """
         return None
 
-    def rest_with_model(self, part: Part[KeysT], build: Build) -> Rest:
-        """Return what supports and loads the part in equilibrium, after its model is built.
+    def rest_with_model(self, part: Part[KeysT], build: Build) -> EquilibriumConditions:
+        """Return the constraints and loads of the part, after its model is built.
 
-        By default the result of :meth:`at_rest`. A body overrides the method if only its matrices
-        show which motions are constrained.
+        By default, the result is the result of :meth:`at_rest`. A body overrides this method if its
+        constraints can only be determined from its matrices.
         """
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name.
 
-        A :class:`Vector` is an expression of voltages and currents of the netlist, its factor to SI
-        and its SI unit. Probes, plots and :meth:`metrics` read these results.
+        A result is a :class:`Vector`: an expression of voltages and currents of the netlist, with a
+        factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read these results.
         """
         return {}
 
     def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         """Return the force waveform [N] that the part exerts at each of its mechanical pins.
 
-        The forces are keyed by pin. Each flow is the sum of the results that leave the part at the
-        pin. Pins without a result are absent.
+        The forces are keyed by pin. The force at a pin is the sum of all force results of the part
+        at this pin. Pins without a result are absent.
         """
         result = {}
         for pin in build.scene.pins(part.name):
@@ -902,24 +922,25 @@ class PartType(Generic[KeysT]):
     def corrected_waves(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return results that replace those of the netlist, such as a pressure off the axis.
+        """Return results that replace results of the netlist, such as a pressure off the axis.
 
-        They are functions of other ``waves``, with effects that the netlist does not contain.
+        The results are functions of other ``waves``, with effects that the netlist does not
+        contain.
         """
         return {}
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return numbers that describe the behaviour of the part, keyed by name.
 
-        Each is a :class:`kc2spice.scene.checks.Metric` with its unit, or a mapping of metrics. A
-        plain number has no unit.
+        Each value is a :class:`kc2spice.scene.checks.Metric`, a nested mapping of metrics, or a
+        number without a unit.
         """
         return {}
 
     def main_metrics(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """Return the metrics that a simulator can compute, as probes of results."""
+        """Return the metrics that every simulator can compute, as probes of results."""
         return {}
 
     def checks(
@@ -927,27 +948,28 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | Balance | Gate]:
         """Return checks of a result.
 
-        The checks are physical laws that the netlist does not contain. If a transient saved all
-        terms, the checks include the energy balance. For ``verify``, the checks include the results
-        of interest with the largest difference between two solutions.
+        The checks test physical laws that the netlist does not contain. They include the energy
+        balance if a transient has saved all terms of the balance. For ``verify``, they include
+        error limits (:class:`kc2spice.scene.checks.Gate`) of the most important results.
         """
         return ()
 
     def finer_mesh(
         self, part: Part[KeysT], build: Build, clock: Clock, most: float
     ) -> Iterable[Check | str]:
-        """Compare the model with a model of a mesh with half the element size.
+        """Compare the model with a model on a mesh with half the element size.
 
-        Plane meshes may have :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many.
-        The results are checks of the differences, or the reason for their absence. Keys that a
-        ``full`` model refines need no check.
+        ``most`` is the largest number of unknowns of the finer mesh; a plane mesh may have
+        :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many. The results are checks
+        of the differences, or texts with the reason why there is no check. Keys that a ``full``
+        model refines need no check.
         """
         return ()
 
     def check_operating_point(
         self, part: Part[KeysT], build: Build, point: Waveforms
     ) -> Iterable[Check]:
-        """Return checks that small signals about the operating ``point`` are meaningful."""
+        """Return checks that the operating ``point`` is valid for small-signal analyses."""
         return ()
 
     def law(self, part: Part[KeysT], build: Build) -> Equations | MissingEquations | None:
@@ -957,29 +979,33 @@ class PartType(Generic[KeysT]):
     def figures(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Figure | FileWriter]:
-        """Return plots for the report, and further output files with arrays or fields."""
+        """Return figures for the report, and writers of further files with arrays or fields."""
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
-        """Return the side view; a body has its upper face at y = 0 and its axis at x = 0."""
+        """Return the shapes of the part in the side view.
+
+        The upper face of a body is at y = 0, and the axis of a body at x = 0.
+        """
         return ()
 
     # --- text for explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
-        """Return text about the model of the part, and the effects that it neglects."""
+        """Return texts about the model of the part, and the effects that the model neglects."""
         yield self.title
 
     def discretisation(self, part: Part[KeysT], build: Build) -> str:
-        """Describe the error estimate of the mesh; empty without a mesh."""
+        """Describe the error estimate of the part's mesh; empty for a part without a mesh."""
         text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 
 def find_flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
-    """Return the currents or forces at a pin among the results of a part, keyed by name.
+    """Return the results of a part that are flows at a pin, with their signs.
 
-    The second value is 1 if the flow leaves the part at this pin, and -1 if the flow enters it.
+    The sign is 1 if the flow leaves the part at the pin, and -1 if the flow enters the part. The
+    results are currents or forces, keyed by name.
     """
     result = {}
     for name, vector in vectors.items():

@@ -1,4 +1,4 @@
-"""Noise of a scene: the shares of its parts, metrics, checks and figures."""
+"""Results of a noise analysis: contributions of parts, metrics, checks and figures."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build
+from kc2spice.scene.part_records import DENSITY_UNIT
 from kc2spice.scene.results import NOISE_WAVE
-from kc2spice.scene.rows import DENSITY_UNIT
 
-# largest relative change of the rms value if every second frequency is omitted
+# Largest accepted relative change of the rms value if every second frequency is omitted.
 MAX_RMS_CHANGE = 0.02
 
 
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the noise density (nf,) of each part that the run contains."""
+    """Return the noise density (nf,) that each part contributes to the output."""
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
         word, _, rest = name.partition(".")
@@ -30,25 +30,25 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """Return rms values over the band: of the output, and of the contribution of each part."""
+    """Return the rms values over the band of the output noise and of each contribution."""
     f, parts = waves["frequency"].real, noise_by_part(waves)
     unit = build.results.units[NOISE_WAVE].removesuffix(DENSITY_UNIT)
-    added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
-    rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms(f, waves[NOISE_WAVE]), unit)}
+    added = {part: Metric(_rms_value(f, result), unit) for part, result in parts.items()}
+    rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms_value(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
-def _rms(f: np.ndarray, density: np.ndarray) -> float:
-    """Return the rms value of a noise density over the band."""
+def _rms_value(f: np.ndarray, density: np.ndarray) -> float:
+    """Compute the rms value of a noise density over the band."""
     return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
 
 
 def noise_checks(waves: Waveforms) -> Iterator[Check]:
-    """Check that the noise changes little if every second frequency is left out."""
+    """Check that the rms noise hardly changes if every second frequency is omitted."""
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[NOISE_WAVE][:even]
-        off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
+        off = abs(_rms_value(f[::2], density[::2]) / (_rms_value(f, density) or 1.0) - 1.0)
         advice = (
             "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
         )
@@ -63,7 +63,7 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
 
 
 def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
-    """Plot the spectral density, and its integral from the lowest frequency on."""
+    """Plot the spectral density of the noise, and its integral from the lowest frequency on."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)

@@ -21,11 +21,11 @@ from kc2spice.core.quantities import RefinementRule
 from kc2spice.scene.compose import describe_nets
 from kc2spice.scene.frames import describe_frames
 from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.rows import Neglected
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP_KEY = "solver.max_step"
-MAX_TIME_POINTS = 2e5  # time points of a transient with its finest step
+MAX_TIME_POINTS = 2e5  # largest number of time points with the finest step
 # Ratio of the highest frequency to the band of a reduction. Steps and contacts excite modes above
 # the band.
 BAND_GROWTH = 2.0
@@ -98,21 +98,23 @@ def _list_settings(build: Build) -> Iterator[NumericalSetting]:
     """Yield all settings of a scene that have a refinement rule."""
     scene = build.scene
     if scene.analysis.type == "transient":
-        solver = {setting.name: setting for setting in _list_marked(scene.solver, "solver")}
+        solver = {
+            setting.name: setting for setting in _list_settings_of_keys(scene.solver, "solver")
+        }
         yield solver["solver.reltol"]
         yield replace(solver["solver.chgtol"], finer={"solver.ringing": "followed"})
         step: float | None = scene.solver.max_step
-        if step is None and build.largest is not None:
-            step = build.largest.step
+        if step is None and build.largest_step is not None:
+            step = build.largest_step.step
         if step is not None:
             setting = _make_setting(MAX_STEP_KEY, step, Solver.model_fields["max_step"])
             yield replace(setting, low=min(step, scene.stop / MAX_TIME_POINTS))
     elif scene.analysis.is_small_signal and "analysis" in scene.tables:
-        (setting,) = _list_marked(scene.analysis, "analysis")
+        (setting,) = _list_settings_of_keys(scene.analysis, "analysis")
         yield replace(setting, decades=_count_decades(scene.analysis))
     yield from _list_reductions(build)
     for part in scene.parts.values():
-        yield from _list_marked(part.keys, part.key_prefix)
+        yield from _list_settings_of_keys(part.keys, part.key_prefix)
 
 
 def _count_decades(analysis: Analysis) -> float:
@@ -122,12 +124,12 @@ def _count_decades(analysis: Analysis) -> float:
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
-def _list_marked(keys: BaseModel, prefix: str) -> Iterator[NumericalSetting]:
+def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSetting]:
     """Yield the settings in a table and its inner tables, except settings of reductions."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
         if isinstance(value, BaseModel) and not isinstance(value, Rom):
-            yield from _list_marked(value, f"{prefix}.{name}")
+            yield from _list_settings_of_keys(value, f"{prefix}.{name}")
         rule = _find_rule(declared)
         if rule is not None and value is not None and _is_used(rule, keys):
             yield _make_setting(f"{prefix}.{name}", value, declared)
@@ -232,9 +234,10 @@ def _estimate_mesh_error(setting: NumericalSetting, build: Build) -> float | Non
 def describe_plan(build: Build) -> dict[str, Any]:
     """Return the plan of a run, which is ``plan`` in ``result.json``.
 
-    ``parts`` contains ``source`` and ``detail`` of each part, ``joins`` the nets, and ``frames``
-    the origin of displacements. ``left_out`` lists each neglected effect once. ``settings`` lists
-    the keys that trade time for error, with the relative ``error`` if it is known before a run.
+    ``parts`` contains the ``source`` of each part's model and its ``detail``, a description.
+    ``joins`` describes the nets, and ``frames`` the origins of displacements. ``left_out`` lists
+    each neglected effect once. ``settings`` lists the numerical settings, each with the relative
+    ``error`` if the error is known before a run.
     """
     scene = build.scene
     parts = []

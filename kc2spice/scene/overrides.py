@@ -1,4 +1,4 @@
-"""Overrides of the keys of a scene: texts ``KEY=VALUE``, and TOML files of keys."""
+"""Parsing of overrides of a scene's keys: texts ``KEY=VALUE``, and TOML files of keys."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _INDEX_PATTERN = r"\[-?[0-9]{1,6}\]"
 _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
-_STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that its examples do not change
-_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # text that a shell does not split or expand
+_STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples
+_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # text that needs no quotes in a shell
 _SEPARATOR = re.compile(r"[.\[]")
 # pairs of keys that exclude each other
 _EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
@@ -31,13 +31,13 @@ _EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].t
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
 ) -> Iterator[tuple[str, Any, str]]:
-    """Yield key, value and place of each override; errors name the place.
+    """Yield key, value and place of each override; the place is for errors.
 
-    ``example`` returns an override for a key without a value.
+    ``example`` is a function that returns an example of an override for a key.
 
     Raises
     ------
-    UsageError : a text is not an override.
+    UsageError : a text is not of the form ``KEY=VALUE``.
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
@@ -48,11 +48,11 @@ def read_overrides(
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
-    """Replace names of TOML files by texts ``dotted.key=value`` of all their keys.
+    """Replace names of TOML files by a text ``dotted.key=value`` for each key of the file.
 
     Raises
     ------
-    UsageError : a file does not exist, or is not TOML.
+    UsageError : a file does not exist or is not TOML.
     """
     result: list[str] = []
     for text in texts:
@@ -75,7 +75,7 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
 
 
 def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and values; a table with dotted keys is a value."""
+    """Yield the dotted keys and values of nested tables."""
     for key, value in table.items():
         if isinstance(value, Mapping) and not any(map(_SEPARATOR.search, value)):
             yield from _flatten_tables(value, f"{above}{key}.")
@@ -84,23 +84,23 @@ def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple
 
 
 def format_toml(value: Any) -> str:
-    """Return a value as TOML that a scene file would contain, with all its digits."""
+    """Return a value as TOML text with all digits, as in a scene file."""
     if isinstance(value, Mapping):
         items = (f"{json.dumps(key)} = {format_toml(item)}" for key, item in value.items())
         return "{" + ", ".join(items) + "}"
-    if hasattr(value, "tolist"):  # a numpy array or number
+    if hasattr(value, "tolist"):  # numpy arrays and numbers
         return format_toml(value.tolist())
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(format_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
-# key and value with a colon or a blank between them in place of an equals sign
+# Pattern of a key and a value that are separated by a colon or a blank, not by an equals sign.
 _OTHER_SEPARATOR = re.compile(r"([A-Za-z_][\w.\[\]]*)\s*[:\s]\s*([^=:\s][^=]*)")
 
 
 def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]:
-    """Return key and value of ``dotted.key=value``."""
+    """Return the key and the value of a text ``dotted.key=value``."""
     name, _, value = map(str.strip, text.partition("="))
     if not name or not value:
         advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
@@ -117,9 +117,10 @@ def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]
 
 
 def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Return an override of the key ``name``, or of a key below it, with its present value.
+    """Return an override of the key ``name``, or of a key in this table, as an example.
 
-    ``tables`` are the tables of the scene, ``keys`` the dotted keys of the part in ``name``.
+    The value in the example is the present value in ``tables``, the tables of the scene. ``keys``
+    are the dotted keys of the part that ``name`` contains.
     """
     value: Any = tables
     for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
@@ -145,9 +146,10 @@ def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> 
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:
-    """Set the key ``name`` and return its path with indices of list entries.
+    """Set the key ``name`` in ``data``; return the path of the key.
 
-    Missing tables are added. Entries of lists must exist. ``where`` is the place that errors name.
+    The path contains the indices of list entries. Missing tables are added, but list entries must
+    exist. ``where`` is the place of the override for errors.
     """
     steps = re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name)
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
@@ -176,19 +178,19 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
 
 
 def _suggest_list(holder: Any, key: str) -> str | None:
-    """Return the hint at a list of the table ``holder`` whose name is similar to ``key``."""
+    """Return a hint if a list in the table ``holder`` has a name similar to ``key``."""
     table = holder if isinstance(holder, dict) else {}
     return did_you_mean(key, [name for name, value in table.items() if isinstance(value, list)])
 
 
 def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None) -> str | int:
-    """Return the key of a table, or the index of a list, for a step of a dotted key.
+    """Return the table key or the list index that one ``step`` of a dotted key means.
 
-    ``near`` is the hint at a list with a similar name.
+    ``near`` is a hint about a list with a similar name.
 
     Raises
     ------
-    UsageError : ``holder``, the value of the key ``so_far``, does not have this key or entry.
+    UsageError : ``holder``, the value of the key ``so_far``, does not contain this key or entry.
     """
     if step[0] != "[":
         if isinstance(holder, dict):
@@ -220,9 +222,9 @@ def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None)
 
 
 def parse_override_value(text: str) -> Any:
-    """Parse the value of ``key=VALUE`` as TOML.
+    """Parse the text VALUE in ``key=VALUE`` as TOML.
 
-    Other texts, bare words and numbers with a unit, are returned unchanged.
+    A text that is not TOML, such as a bare word or a number with a unit, is returned unchanged.
     """
     try:
         table = parse_toml(f"value = {text}")

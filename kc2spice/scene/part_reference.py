@@ -1,4 +1,4 @@
-"""Reference of part types: pins, keys and examples."""
+"""Descriptions of part types, with pins, keys and examples, for the reference."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kc2spice.scene.scene_file import list_gallery
 
 @dataclass(frozen=True)
 class PartTypeReference:
-    """Description of a part type with an example from a built-in ``scene``, if any."""
+    """Description of a part type, with an example from a built-in ``scene`` if possible."""
 
     name: str
     title: str
@@ -30,7 +30,7 @@ class PartTypeReference:
 
 
 def describe_part_types() -> Iterator[PartTypeReference]:
-    """Yield descriptions of all part types in the order of their names."""
+    """Yield the descriptions of all part types, sorted by name."""
     examples = _find_examples()
     for name in load_part_types():
         yield _describe(name, examples)
@@ -64,13 +64,16 @@ def describe_part_type(name: str) -> PartTypeReference:
 
 
 def _describe(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
-    """Return the description of a part type; ``examples`` are built-in scenes by part type."""
+    """Return the description of a part type.
+
+    ``examples`` contains a built-in scene for each part type that occurs in one.
+    """
     kind, scene_name = load_part_types()[name], None
     pins: tuple[Terminal, ...] = ()
     example = kind.example
     if example:
         scene = load_scene({"name": "example", **parse_toml(example)})
-        pins = kind.pins(scene.of(name)[0], replace(scene, ports="all"))
+        pins = kind.pins(scene.list_parts(name)[0], replace(scene, ports="all"))
     elif name in examples:
         scene_name, part, scene = examples[name]
         pins = kind.pins(part, replace(scene, ports="all"))
@@ -90,7 +93,7 @@ def _describe(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> Par
 
 
 def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
-    """Return the first built-in scene with a part of each type."""
+    """Return the first built-in scene that contains a part of the type, for each type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
     for name in list_gallery():
         scene = load_scene(name)

@@ -1,10 +1,11 @@
-"""Registered part types by name, and results of several parts of a scene.
+"""Registry of part types, and results that depend on several parts of a scene.
 
-A module, named after the type, defines a subclass of :class:`kc2spice.scene.model.PartType` and
-calls :func:`register` with an instance. A module named ``*_types`` registers several part types.
-All other modules call the methods of :class:`kc2spice.scene.model.PartType` and name no type.
-Modules of ``kc2spice.parts`` need no list. Other packages have an entry point in the group
-``kc2spice.parts``. A module is loaded when a scene needs it.
+A module in ``kc2spice.parts`` with the name of a part type defines a subclass of
+:class:`kc2spice.scene.model.PartType`, and calls :func:`register` with an instance. A module named
+``*_types`` registers several part types. All other modules call the methods of
+:class:`kc2spice.scene.model.PartType` and depend on no particular part type. No list of the modules
+exists: a module is loaded when a scene needs its part type. Other packages declare entry points in
+the group ``kc2spice.parts``.
 """
 
 from __future__ import annotations
@@ -23,19 +24,20 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
 from kc2spice.netlist.spelling import require_name
 from kc2spice.scene.model import Build, Part, PartType, find_flows
-from kc2spice.scene.rows import Vector
+from kc2spice.scene.part_records import Vector
 
 PARTS_PACKAGE = "kc2spice.parts"
-SHARED_MODULE_SUFFIX = "_types"  # suffix of modules with several part types
+SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules with several part types
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin, if the only other part at the pin reports it.
+    """Return the current into a pin if the only other part at the pin reports its current.
 
-    A source with further loads has the sum of their currents as its result.
+    The current of a source with several loads is the sum of the currents into these loads, so that
+    the result is None.
     """
     others = build.scene.joined(part.name, pin)
-    # The current of a body follows from the parts joined to the pin.
+    # the current of another body would again follow from the parts at the pin
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
     ((name, end),) = others
@@ -47,9 +49,9 @@ def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
 
 
 def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the flow into a pin as the sum of the flows out of all other parts at the pin.
+    """Return the flow into a pin: the sum of the flows out of all other parts at the pin.
 
-    The result is None if one of these parts does not report its flow.
+    The result is None if one of the other parts does not report its flow.
     """
     others = build.scene.joined(part.name, pin)
     if len(others) == 1:
@@ -71,7 +73,7 @@ def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
 
 
 def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
-    """Return the force waveforms [N] that parts exert at their pins."""
+    """Return the force waveforms [N] that parts exert at their pins; compute them once."""
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
         """Return the forces of all parts."""
@@ -79,7 +81,7 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        # both objects are stored, so that no other object can have their identity
+        # the key uses the identities of both objects, so the objects must not be deleted
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]
@@ -141,10 +143,11 @@ def register(part_type: PartType) -> PartType:
 
 
 def type_names() -> tuple[str, ...]:
-    """Return the names of all part types; load only modules with several types.
+    """Return the names of all part types; load only modules with several part types.
 
-    ``kc2spice.parts`` has a folder for each family. A module there is named after its type; one
-    that ends in ``_types`` registers several types, and one that begins with ``_`` is shared.
+    ``kc2spice.parts`` contains a folder for each family of parts. The name of a module in the
+    folder is the name of its part type. The name of a module with several part types ends with
+    ``_types``. Modules whose name begins with ``_`` contain shared code.
     """
     modules = _list_modules()
     for name, module in modules.items():
@@ -166,10 +169,10 @@ def _list_modules() -> Mapping[str, str]:
 
 
 def find_part_type(name: str) -> PartType | None:
-    """Return the part type of this name; load its module first. The result is None without such a
-    module.
+    """Return the part type of this name, and load its module if necessary; None if unknown.
 
-    Modules with several types, and other packages, are searched only if no module has this name.
+    Modules with several part types, and other packages, are searched only if no module has the name
+    of the part type.
     """
     if name not in _types and name in _list_modules():
         import_module(_list_modules()[name])

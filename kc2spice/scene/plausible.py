@@ -1,4 +1,4 @@
-"""Plausible ranges of keys; values outside of them probably have a wrong unit."""
+"""Checks of plausible ranges; a value outside of its range probably has a wrong unit."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ if TYPE_CHECKING:
 
 
 class ImplausibleError(UsageError):
-    """Value that is possible but not plausible, often because of a wrong unit."""
+    """Error about a value that is possible but not plausible, often due to a wrong unit."""
 
 
-MAX_LAYER_ASPECT = 10.0  # largest ratio of the thickness of a layer to its width
-MAX_OVERHANG = 1.02  # largest ratio of diameters, ceramic to plate; wider ceramic breaks off
-# voltage relative to the rated voltage: above 1, a warning; above this ratio, an error
+MAX_LAYER_ASPECT = 10.0  # largest ratio of thickness and width of a layer
+MAX_OVERHANG = 1.02  # largest ratio of ceramic to plate diameter; wider ceramic breaks
+# Ratio of a voltage to the rated voltage. Above 1 the check warns; above this ratio it fails.
 BREAKDOWN_RATIO = 10.0
-# a value that exceeds a limit by less than this ratio has the right unit: prefixes differ by 1000
+# A value that exceeds a limit by less than this ratio has no wrong unit, because prefixes differ by
+# a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
-LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage; a lower drive is a warning
+LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage, below which the check warns
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
 def check_range(
     where: str, value: float, unit: str, low: float, high: float, why: str
 ) -> Iterator[UsageError]:
-    """Yield an error with a reason if a value is outside of ``low`` to ``high``."""
+    """Yield an error if a value is not between ``low`` and ``high``; ``why`` is the reason."""
     if not low <= value <= high:
         units = _ALTERNATIVE_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low < value * size <= high), None)
         if high < value < MISTAKEN_UNIT_RATIO * high:
-            fitting = None  # the unit is right, and the value is only slightly too large
+            fitting = None  # the value is only slightly too large, so that its unit is not wrong
         limit = high if value > high else low
         advice = f"{'lower' if value > high else 'raise'} it to {format_quantity(limit, unit)}"
         yield ImplausibleError(
@@ -52,13 +53,13 @@ def check_range(
 
 
 def check_dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """Yield errors of all keys with plausible ranges, including lists and inner tables."""
+    """Yield errors of all keys with plausible ranges, including lists and subtables."""
     for name, field in type(keys).model_fields.items():
         yield from _check_value(f"{where}.{name}", plausible_range_of(field), getattr(keys, name))
 
 
 def _check_value(where: str, role: Plausible | None, value: Any) -> Iterator[UsageError]:
-    """Yield errors of a key, which is a number, a list or a table."""
+    """Yield the errors of one key, whose value is a number, a list or a table."""
     if isinstance(value, BaseModel):
         yield from check_dimensions(where, value)
     elif isinstance(value, tuple):
@@ -71,9 +72,9 @@ def _check_value(where: str, role: Plausible | None, value: Any) -> Iterator[Usa
 def check_layers(
     where: str, entries: Iterable[tuple[float, float, bool]], *, plate: bool
 ) -> Iterator[UsageError]:
-    """Yield errors of a stack of layers ``(width, thickness, ceramic)``.
+    """Yield the errors of a stack of layers ``(width, thickness, ceramic)``.
 
-    Layers must be flat, and ceramic must not be wider than its ``plate``.
+    Layers must be flat, and ceramic layers must not be wider than the ``plate`` allows.
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
@@ -92,13 +93,13 @@ def check_layers(
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     """Yield errors of source voltages at electrodes with a rating.
 
-    A voltage slightly above the rating, or far below it, is a warning.
+    A voltage slightly above the rating, or far below the rating, causes only a warning.
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
         for name, peak in _peak_voltages(body, scene):
             state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
-            # the same number in kilovolts, volts or millivolts, if it would fit the rating
+            # the same number with another prefix of volt, if this voltage would suit the rating
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
             fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
             fitting = next(fits, None)
@@ -118,9 +119,9 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
 
 
 def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield ideal sources between an electrode and ground with their largest voltages."""
+    """Yield the ideal sources between an electrode and ground, and their largest voltages."""
     nets = {scene.net(body, pin.name) for pin in scene.pins(body) if pin.unit == "V"}
-    for source in scene.of("source"):
+    for source in scene.list_parts("source"):
         wave = source.type.voltage(source, scene)
         if wave is None or scene.nets[source.name, "ret"] != "0":
             continue
@@ -131,7 +132,7 @@ def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 def check_models(build: Build) -> Iterator[UsageError]:
-    """Yield errors of the characteristic values of models, such as the mass of a mesh."""
+    """Yield errors of characteristic values of models, such as the mass of a meshed body."""
     for part in build.scene.parts.values():
         mass = build.facts(part).get("mass_kg")
         if mass is not None:
@@ -145,8 +146,8 @@ def check_models(build: Build) -> Iterator[UsageError]:
             )
 
 
-def apply_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield errors, warn or do nothing, according to ``checks.plausible``."""
+def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
+    """Yield the errors, print them as warnings, or ignore them, according to ``action``."""
     if action == "off":
         return
     for item in errors:

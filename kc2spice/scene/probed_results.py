@@ -1,6 +1,6 @@
-"""Check of the results that probes of a scene read.
+"""Check that the results exist which the probes of a scene read.
 
-The input is a build with or without models. The error for an unknown result contains the probe and
+The input is a build with or without models. The error about an unknown result names the probe and
 suggests existing results.
 """
 
@@ -18,13 +18,15 @@ from kc2spice.scene.results import collect_results
 
 
 def require_probed_results(build: Build) -> None:
-    """Raise an error for probes of results that the scene does not have.
+    """Raise an error if a probe reads a result that the scene does not have.
 
-    A part whose results follow from its model is not checked before that model is built.
+    Some part types have results that depend on the model. Probes of their results are checked only
+    after the model is built.
 
     Raises
     ------
-    UsageError : the error contains the key of the probe, and the existing results.
+    UsageError : a result does not exist; the error contains the key of the probe and existing
+        results.
     """
     scene = build.scene
     if not scene.probes or build.has_noise:
@@ -40,7 +42,7 @@ def require_probed_results(build: Build) -> None:
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
-        # a name without a dot is time or frequency
+        # a name without a dot is the name of a scale, such as time
         if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
             raise _make_unknown_result_error(
                 build, probe.of, scene.where(f"probes.{name}.of"), waiting
@@ -65,7 +67,7 @@ def list_all_results(scene: Scene) -> list[str]:
 def _make_unknown_result_error(
     build: Build, name: str, where: str, waiting: Collection[str]
 ) -> UsageError:
-    """Return the error of an unknown result; ``waiting`` are parts whose models are missing."""
+    """Return the error about an unknown result; ``waiting`` are parts without a model yet."""
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
     if owner in parts:
@@ -80,17 +82,17 @@ def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:
 
 
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
-    """Suggest a result that begins like an unknown one: ``r2.v`` for ``r2.voltage``."""
+    """Suggest a result with a similar name, such as ``r2.v`` for ``r2.voltage``."""
     near = list(filter(name.startswith, choices))
     near = near or _select_prefixed(choices, f"{name}.")[:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
 def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
-    """List all results that a probe may read.
+    """Return the names of all results that a probe may read.
 
-    The list includes motions at ports that are not joined, and currents and powers that have a
-    meter only if a probe reads them.
+    The result includes motions at ports that are not joined, and currents and powers for which an
+    ammeter is added only if a probe reads them.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(with_vectors(replace(build, scene=scene), waiting))
@@ -101,7 +103,7 @@ def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
 
 
 def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """Yield flows and powers of a part that probes may read besides ``known`` results."""
+    """Yield flows and powers of a part that probes may read in addition to ``known`` results."""
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
     separate = scene.has_subcircuit(part)
     for domain in dict.fromkeys(powered.values()):

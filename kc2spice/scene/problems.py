@@ -1,4 +1,4 @@
-"""Checks of the keys of a scene before its parts are joined."""
+"""Checks of the keys of a scene, before the parts of the scene are joined."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plausible import ImplausibleError, apply_action
+from kc2spice.scene.plausible import ImplausibleError, apply_check_action
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
 from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, Probe
 
-MAX_TIME_POINTS = 1e7  # largest number of time points of a transient
-# smallest step that a simulator resolves, relative to the last frequency
+MAX_TIME_POINTS = 1e7  # largest number of time points in a transient
+# smallest frequency step that a simulator resolves, relative to the last frequency
 SMALLEST_STEP_RATIO = 1e-12
 
 
 def check_scene(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error for every violated condition, with the dotted key in ``where``."""
+    """Yield an error for every invalid key or combination of keys of a scene."""
     if not scene.parts:
         yield UsageError(
             "the scene has no parts",
@@ -47,7 +47,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_parts(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of parts; implausible values are the last ones."""
+    """Yield the errors of parts; errors about implausible values are last."""
     implausible = []
     for part in scene.parts.values():
         for problem in part.type.problems(part, scene):
@@ -55,11 +55,11 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
                 implausible.append(problem)
             else:
                 yield problem
-    yield from apply_action(implausible, scene.checks.plausible)
+    yield from apply_check_action(implausible, scene.checks.plausible)
 
 
 def _check_includes(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error of included netlists that no part uses."""
+    """Yield an error if netlists are included, but no part uses them."""
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
             "no part uses these included netlists",
@@ -71,7 +71,7 @@ def _check_includes(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of a largest time step that is too long or too short."""
+    """Yield an error if the largest time step is too long or too short."""
     step = scene.solver.max_step
     if scene.analysis.type != "transient" or not step:
         return
@@ -95,7 +95,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of sweeps in analyses that do not support them."""
+    """Yield an error if the type of the analysis does not support its sweep."""
     selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
@@ -118,7 +118,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of the frequency range of ``ac`` and ``noise``."""
+    """Yield errors of the frequency range of an ``ac`` or ``noise`` analysis."""
     selected = scene.analysis
     if not selected.is_small_signal:
         return
@@ -162,7 +162,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error of a noise analysis without output, or the reverse."""
+    """Yield an error of a noise analysis without an output, or of an output without noise."""
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
@@ -196,11 +196,11 @@ def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of the key that a dc analysis sweeps, and of its range."""
+    """Yield errors of the key that a dc analysis sweeps, and of the range of the sweep."""
     selected = scene.analysis
     name, _, _ = (selected.sweep or "").partition(".")
     if name not in scene.parts:
-        sources = [part.name for part in scene.of("source")] or list(scene.parts)
+        sources = [part.name for part in scene.list_parts("source")] or list(scene.parts)
         missing = selected.sweep is None
         yield UsageError(
             "the key analysis.sweep of the dc analysis is missing"
@@ -218,9 +218,9 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
-    """Yield errors of keys that the type of the analysis does not read.
+    """Yield errors of keys that have no effect in this type of analysis.
 
-    The keys ``sweep``, ``back`` and ``output`` have separate checks.
+    Separate functions check the keys ``sweep``, ``back`` and ``output``.
     """
     readers = {
         "stop": ("transient", "ac", "noise"),
@@ -245,14 +245,14 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of probes with ``periods`` if the run has too few periods."""
+    """Yield errors of probes whose key ``periods`` exceeds the periods of the run."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
             yield from _check_window(f"probes.{name}.periods", probe.periods, scene)
 
 
 def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if an analysis has no window of the last ``count`` periods."""
+    """Yield an error if the analysis does not contain ``count`` periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError(
@@ -303,7 +303,7 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
 
 
 def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the position of a probe is outside of the sweep of the analysis."""
+    """Yield an error if the position of a probe is outside of the range of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
@@ -331,7 +331,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
 
 
 def _scale_unit(scene: Scene) -> str | None:
-    """Return the unit of the scale of the analysis, None if it is not known."""
+    """Return the unit of the scale of the analysis; None if it is not known."""
     selected = scene.analysis
     if selected.type != "dc":
         return ANALYSIS_UNITS.get(selected.type)

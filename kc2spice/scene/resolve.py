@@ -1,7 +1,8 @@
-"""Calls of the methods of part types, in the order of their dependence.
+"""Calls of the methods of part types, each after the methods that it depends on.
 
-The input is a scene with checked keys. The resolved scene contains a :class:`Record` of each part,
-nets and reference frames. Later stages read the records and do not call the methods again.
+The input is a scene with checked keys. The resolved scene contains a :class:`PartRecord` of each
+part, the nets and the reference frames. Later stages read the records and do not call the methods
+again.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from kc2spice.scene.compose import join_parts, with_rests
-from kc2spice.scene.model import Build, BuildRecord, NameAllocator, Part, Record, Scene
+from kc2spice.scene.model import Build, BuildRecord, NameAllocator, Part, PartRecord, Scene
+from kc2spice.scene.part_records import Governed, Numerics, State
 from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
-from kc2spice.scene.rows import Governed, Numerics, State
 
 
 def resolve(scene: Scene) -> Scene:
-    """Return the scene with nets, reference frames and the properties of all parts.
+    """Return the scene with nets, reference frames and the records of all parts.
 
     Raises
     ------
@@ -35,7 +36,7 @@ def resolve(scene: Scene) -> Scene:
 def resolve_build(build: Build) -> Build:
     """Return the build with results and settable quantities of its parts.
 
-    The quantities of a part that can be set depend on the parts at rest around it.
+    The settable quantities of a part depend on the equilibrium conditions of other parts.
 
     Raises
     ------
@@ -54,10 +55,10 @@ def resolve_build(build: Build) -> Build:
 
 
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
-    """Return the build with parts at rest and results, except those ``without``.
+    """Return the build with equilibrium conditions and results of its parts.
 
-    The current of a body follows from the results of the parts that are joined to it. Parts without
-    cards have no results.
+    The parts in ``without`` get no results. The current of a body follows from the results of the
+    parts that are joined to the body. Parts without cards have no results.
     """
     records = {}
     for name, part in build.scene.parts.items():
@@ -72,22 +73,22 @@ def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
 
 
 def _with_cards(build: Build) -> list[Part]:
-    """Return the parts that no other part copies or moves."""
+    """Return the parts with cards, which no other part copies or moves."""
     scene = build.scene
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
 
 def with_governed(scene: Scene) -> Scene:
-    """Return the scene with properties that follow from keys: governed parts, details.
+    """Return the scene with records of governed parts and of shared data.
 
-    Details may depend on each other; each is computed at its first use.
+    The shared data of one part may depend on the shared data of other parts.
     """
     governed_parts: dict[str, Mapping[str, State | Governed]] = {}
-    records: dict[str, Record[Any]] = {}
+    records: dict[str, PartRecord[Any]] = {}
     for name, part in scene.parts.items():
         governed_parts[name] = part.type.governed_parts(part, scene)
         frequency = part.type.highest_frequency(part, scene)
-        records[name] = Record(part, governed_parts[name], frequency)
+        records[name] = PartRecord(part, governed_parts[name], frequency)
     scene = replace(
         scene,
         records=records,
@@ -102,7 +103,7 @@ def with_governed(scene: Scene) -> Scene:
 
 
 def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -> dict[str, str]:
-    """Return the first part that prescribes all motion of each moved part."""
+    """Return for each moved part the first part that prescribes all its motion."""
     result: dict[str, str] = {}
     for owner, answer in governed_parts.items():
         for name, governed in answer.items():
@@ -114,9 +115,10 @@ def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -
 def _find_initial_states(
     governed_parts: Mapping[str, Mapping[str, State | Governed]],
 ) -> dict[str, State]:
-    """Return the stated states at t = 0; a transient then has no operating point.
+    """Return the states at t = 0 that keys state, keyed by part.
 
-    A state from another part replaces the state from the keys of a part.
+    A transient with such states does not start at an operating point. A state that another part
+    states replaces a state that the part itself states.
     """
     result: dict[str, State] = {}
     for owner, answer in governed_parts.items():
@@ -134,12 +136,12 @@ def _find_without_cards(
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 
-# relative deviation of a period from an integer fraction of the longest period
+# largest relative deviation of a period from an integer fraction of the longest period
 PERIOD_TOLERANCE = 1e-6
 
 
 def find_period(rows: Iterable[Numerics]) -> float | None:
-    """Return the period [s] of all drives: the longest one, if the others divide it."""
+    """Return the common period [s] of all drives; None if there is no common period."""
     periods = set(map(attrgetter("period"), rows)) - {0.0}
     longest: float | None = max(periods, default=None)
     if longest is None:
@@ -165,15 +167,14 @@ def with_numerics(scene: Scene) -> Scene:
 
 
 def resolve_again(scene: Scene) -> Scene:
-    """Return the scene after a change of keys, with the same pins and nets."""
+    """Return the scene with new records after a change of keys; nets are unchanged."""
     return with_numerics(with_rests(with_governed(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:
-    """Return the name of each part's subcircuit.
+    """Return the name of the subcircuit of each part.
 
-    Parts of different types may choose the same name. Their subcircuits then have the names of the
-    parts.
+    If parts of different types choose the same name, their subcircuits get the names of the parts.
     """
     parts = scene.parts.values()
     names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}

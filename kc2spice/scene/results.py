@@ -1,8 +1,9 @@
-"""Results of a scene, and its dc sweep, from the records of its parts.
+"""Results, dc sweep and noise output of a scene, from the records of its parts.
 
-The input is a build with the records of its parts. The output is netlist vectors: results of parts,
-and the flows and powers that probes read. A dc sweep moves one source; a noise analysis has one
-output. :func:`kc2spice.scene.resolve.resolve_build` adds these records to a build.
+The input is a build with the records of its parts. The results are netlist vectors: results of
+parts, and the flows and powers that probes read. A dc sweep varies one source. A noise analysis has
+one output. :func:`kc2spice.scene.resolve.resolve_build` adds results, sweep and output to the
+build.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from kc2spice.netlist.powers import PowerTerm
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part
-from kc2spice.scene.rows import DcSweep, Powers, SceneResults, SweptSource, Vector
+from kc2spice.scene.part_records import DcSweep, Powers, SceneResults, SweptSource, Vector
 from kc2spice.scene.settings import Analysis
 
-# name of the spectral density of the output, and of the metric of its rms value
+# Name of the spectral density of the output noise, and of the metric with its rms value.
 NOISE_WAVE = "noise"
 GROUND_VOLTAGE = "v(0)"
 
 
 def find_noise_output(build: Build) -> Vector | None:
-    """Return the output of a noise analysis: a result, or the quantity across a pin.
+    """Return the output of a noise analysis: a result, or the across quantity of a pin.
 
-    Other analyses have none.
+    Other analyses have no output.
 
     Raises
     ------
-    UsageError : the result does not exist, or is not a voltage of the netlist.
+    UsageError : the output does not exist, or is not a voltage of the netlist.
     """
     if not build.has_noise:
         return None
@@ -55,9 +56,9 @@ def find_noise_output(build: Build) -> Vector | None:
 
 
 def collect_results(build: Build) -> SceneResults:
-    """Return the results of all parts and the powers that probes read.
+    """Return the results of all parts, and the powers that probes read.
 
-    A noise analysis has the density alone.
+    The only result of a noise analysis is the spectral density of the output.
     """
     if build.noise_output is not None:
         return SceneResults({NOISE_WAVE: build.noise_output.density})
@@ -66,10 +67,10 @@ def collect_results(build: Build) -> SceneResults:
 
 
 def _collect_vectors(build: Build) -> dict[str, Vector]:
-    """Return the vectors of all results except noise densities.
+    """Return the vectors of all results, except noise densities.
 
-    Parameters of devices such as ``@b1[i]`` are not results of an ac analysis: ngspice returns
-    their value at the operating point, not a response.
+    Device parameters such as ``@b1[i]`` are omitted in an ac analysis, because ngspice returns
+    their value at the operating point in place of a response.
     """
     result = build.vectors
     for name, metered in _collect_metered(build, result).items():
@@ -80,10 +81,11 @@ def _collect_vectors(build: Build) -> dict[str, Vector]:
 
 
 def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
-    """Return the results of pins with a meter, in SI units.
+    """Return the results at pins with an ammeter, in SI units.
 
-    ``PART.PIN.current`` is the current into the part, ``PART.PIN.v`` the voltage. ``PART.current``
-    is the current of the first pin. Other domains have other names for both quantities.
+    ``PART.PIN.current`` is the current into the part at the pin, and ``PART.PIN.v`` the voltage of
+    the pin. ``PART.current`` is the current at the first pin. In other domains, the names of both
+    quantities differ.
     """
     result: dict[str, Vector] = {}
     for name, pin in build.scene.meters:
@@ -98,7 +100,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         for part in _probed_parts(build, quantity_name):
             known_as = f"{part.name}.{symbol}"
-            if known_as in known:  # flow of an element, under the name that bodies use
+            if known_as in known:  # the flow of an element, with a second name as for bodies
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _probed_parts(build, "power"):
         result |= _collect_across(part, build)
@@ -106,7 +108,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
 
 
 def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
-    """Return the across quantity of a part with two pins that is not a subcircuit."""
+    """Return the quantity across the two pins of a part that is not a subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
@@ -121,9 +123,10 @@ def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
 
 
 def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each power of a part or pin that a probe reads.
+    """Return the terms of each power, of a part or at a pin, that a probe reads.
 
-    A source delivers its power [W]; any other part absorbs it.
+    The power [W] of a source is positive if the source delivers it. The power of any other part is
+    positive if the part absorbs it.
     """
     result: dict[str, Powers] = {}
     for part in _probed_parts(build, "power"):
@@ -140,7 +143,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
 def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
     """Return the terms of the power of a part; empty if a result is missing.
 
-    The terms are the powers at the pins of the part, or products of its results.
+    The terms are the powers at the pins of the part, or products of results of the part.
     """
     pins = powered_pins(part, build.scene)
     at_pins = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())
@@ -152,13 +155,13 @@ def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers
 
 
 def _part_power(name: str, domain: Domain) -> PowerTerm:
-    """Return the product of the quantities across and through a part."""
+    """Return the power term of the across and the through quantity of a part."""
     across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
 def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
-    """Return the power into a part at a pin; a velocity needs no derivative."""
+    """Return the term of the power into a part at a pin."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
     across, through = domain.across.symbol, domain.through_variable.name
@@ -166,7 +169,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
 
 
 def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
-    """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
+    """Yield the parts of which a probe reads the result ``PART.QUANTITY``."""
     for result in build.scene.probed_results:
         name, _, read = result.partition(".")
         if read == quantity_name and name in build.scene.parts:
@@ -174,11 +177,11 @@ def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
 
 
 def resolve_dc_sweep(build: Build) -> DcSweep | None:
-    """Resolve the dc sweep of a scene; other analyses have none.
+    """Return the dc sweep of a scene; None for other analyses.
 
     Raises
     ------
-    UsageError : no source has the key that the analysis sweeps, or the range is empty.
+    UsageError : no source depends on the key that the analysis sweeps, or the range is empty.
     """
     scene, selected = build.scene, build.scene.analysis
     if selected.type != "dc":
@@ -209,9 +212,9 @@ def _unit_of_key(part: Part, key: str) -> str:
 
 
 def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
-    """Return the first and last value of the sweep in SI units; reject an empty range."""
+    """Return the first and the last value of the sweep in SI units; reject an empty range."""
     first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
-    if first == last:  # otherwise a simulator would never end the sweep
+    if first == last:  # a sweep with an empty range would never end in a simulator
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError(
             "the range of the sweep is empty",

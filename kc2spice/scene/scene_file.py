@@ -1,4 +1,4 @@
-"""Text of a scene from the gallery or a TOML file, and the lines of its keys."""
+"""Reading of scene files, and search for the lines of their keys."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene and its overrides, which determine the lines in error messages."""
+    """Text of a scene file with overrides, in which errors locate keys."""
 
     label: str
     stem: str
@@ -47,13 +47,13 @@ class SceneFile:
         return parse_toml_file(self.text, self.label)
 
     def overrides_key(self, key: str) -> bool:
-        """Whether an override sets the key."""
+        """Return whether an override sets the key."""
         return tuple(key.split(".")) in self.overrides
 
     def where(self, key: str) -> str:
-        """Return the override or line of a key such as ``disc.layers.0.diameter``.
+        """Return the override or the line that sets a key such as ``disc.layers.0.diameter``.
 
-        An empty key is the whole scene.
+        An empty key stands for the whole scene.
         """
         if not key:
             return self.label
@@ -68,11 +68,11 @@ class SceneFile:
 
 
 def open_scene(name_or_path: str | Path) -> SceneFile:
-    """Read a built-in scene, the scene of a part number, or a TOML file.
+    """Open a built-in scene, the scene of a part number, or a TOML file.
 
     Raises
     ------
-    UsageError : the scene or file does not exist, or the file is not text.
+    UsageError : the scene or the file does not exist, or the file is not text.
     """
     scenes, name = list_gallery(), str(name_or_path)
     if not name:
@@ -104,19 +104,19 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
         reason = getattr(error, "strerror", None) or str(error)
         hint = f"check the permissions and the size of {name}"
         raise UsageError(f"this file cannot be read: {reason}", where=name, hint=hint) from None
-    folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
+    folder = Path.cwd() if path.parent == Path() else path.parent  # Path() means no folder
     return SceneFile(name, path.stem, text, folder)
 
 
 def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> UsageError:
-    """Return the error of a file that does not exist, or of an unknown built-in scene."""
+    """Return the error about a missing file or an unknown built-in scene."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
         expected = (
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
-        with contextlib.suppress(OSError, ValueError):  # the name is no file name, or is too long
+        with contextlib.suppress(OSError, ValueError):  # not a valid file name, or too long
             if Path(f"{path.stem}.toml").is_file():
                 near = f"did you mean '{path.stem}.toml'?"
         hint = near or f"{listing}, kc2spice parts the part numbers"
@@ -133,7 +133,7 @@ def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> Usage
 def _add_entry_numbers(
     table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
 ) -> tuple[str, ...]:
-    """Return the path of a table with the entry numbers of lists of tables."""
+    """Return the path of a table, with entry numbers where it contains lists of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])
@@ -143,9 +143,9 @@ def _add_entry_numbers(
 
 
 def _find_line(text: str, path: tuple[str, ...]) -> int | None:
-    """Return the line that sets ``path`` or the longest part of it, for messages."""
+    """Return the number of the line that sets ``path``, or the longest beginning of it."""
     table: tuple[str, ...] = ()
-    counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
+    counts: dict[tuple[str, ...], int] = {}  # number of entries of each list of tables
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(split_lines(text), start=1):
         line = line.strip()

@@ -1,7 +1,7 @@
-"""Settings of a scene outside of its parts.
+"""Schemas of the tables of a scene that are no parts.
 
-Each class is a table of the scene file: analysis, probes, reduction, solver, checks or gates. It
-contains the default and the description of every key.
+Each class is the schema of a table of the scene file: analysis, probes, reduction, solver, checks
+or gates. The class contains the default and the description of every key.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from kc2spice.core.quantities import (
 )
 
 Action = Literal["fail", "warn", "off"]
-# pattern of texts that are written into the netlist
+# pattern of texts that are written to the netlist
 _ONE_LINE_PATTERN = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"
 PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
 FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE_PATTERN}+$", max_length=255)]
 
 
 class Rom(Section):
-    """Reduction: a fixed order, or a tolerance over a band; by default the tolerance."""
+    """Keys of a reduction: either a fixed order, or a tolerance over a band (default)."""
 
     absent: ClassVar[Mapping[str, str]] = {
         "method": "leave it out: scenes choose the method; a method by its name is selected by "
@@ -50,7 +50,7 @@ class Rom(Section):
         le=2000,
         description="Number of states of the reduced model; cannot be combined with tolerance",
     )
-    # below 1e-10, rounding errors of double precision exceed the tolerance
+    # Limit 1e-10: rounding errors of double precision exceed a smaller tolerance.
     tolerance: Annotated[Ratio | None, RefinementRule(0.1, finest=1e-10)] = Field(
         None,
         ge=1e-10,
@@ -91,7 +91,7 @@ class Rom(Section):
     @field_validator("tolerance")
     @classmethod
     def _set_default_tolerance(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        """Set the default tolerance if there is no order."""
+        """Set the default tolerance if no order is stated."""
         order_set = info.data.get("order") is not None
         return 1e-4 if tolerance is None and not order_set else tolerance
 
@@ -105,14 +105,14 @@ class Rom(Section):
 
     @property
     def is_default(self) -> bool:
-        """Whether the scene sets neither order nor tolerance."""
+        """Whether the scene states neither order nor tolerance."""
         return not {"order", "tolerance"} & self.model_fields_set
 
 
 class Solver(Section):
-    """ngspice settings that are written into the deck."""
+    """Keys of the ngspice settings that are written to the deck."""
 
-    # below 1e-7, rounding errors prevent the convergence of ngspice
+    # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
     reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
         1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
     )
@@ -152,8 +152,8 @@ class Solver(Section):
     )
 
 
-class Checks(Section):
-    """Action on a violated check: the run fails (exit 5), warns, or neither."""
+class CheckActions(Section):
+    """Keys of the actions on violated checks: the run fails (exit 5), warns, or continues."""
 
     energy: Action = Field(
         "fail", description="Action if the energy balance of a sphere, contact or chip fails"
@@ -194,7 +194,7 @@ class Checks(Section):
 
 
 class Bench(Section):
-    """Metrics and error limits of the command ``bench``."""
+    """Keys of the command ``bench``: its metrics and error limits."""
 
     metric: tuple[str, ...] = Field(
         (),
@@ -204,7 +204,7 @@ class Bench(Section):
 
 
 class ErrorLimits(Section):
-    """Largest errors that a result may have; values with a dimension need a unit."""
+    """Keys of the largest accepted errors; values with a dimension need a unit."""
 
     launch_velocity: Ratio | None = Field(
         None,
@@ -326,19 +326,19 @@ class ErrorLimits(Section):
     )
 
 
-# units of the scale of each type of analysis
+# unit of the scale of each type of analysis
 ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
-SMALL_SIGNALS = ("ac", "noise")  # types of analysis of linear signals about an operating point
+SMALL_SIGNALS = ("ac", "noise")  # types of analyses that are linear about an operating point
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
-    """Spacing of frequencies: linear if their range begins at 0 Hz."""
+    """Return the default spacing of frequencies: linear if the range begins at 0 Hz."""
     from_zero = keys.get("type") in SMALL_SIGNALS and keys.get("start") == 0
     return "linear" if from_zero else "log"
 
 
 class Analysis(Section):
-    """Analysis that the simulator runs."""
+    """Keys of the analysis that the simulator runs."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
         "transient", description="Type of analysis"
@@ -374,7 +374,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Read the end as a time for a transient, and as a frequency for ac and noise."""
+        """Convert the end to a time for a transient, and to a frequency for ac and noise."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
@@ -392,20 +392,20 @@ class Analysis(Section):
 
     @property
     def is_small_signal(self) -> bool:
-        """Whether the analysis is linear about an operating point, over frequency."""
+        """Whether the analysis is linear about an operating point, over a frequency range."""
         return self.type in SMALL_SIGNALS
 
 
 class Probe(Section):
-    """Result that a probe reads, and the quantity that it computes as a metric.
+    """Keys of a probe: the result that it reads, and the value that becomes a metric.
 
-    ``argmax`` is the place of the largest value on the scale (Hz in ``ac``, s in a transient).
-    ``value`` is the value ``at`` a place of the scale. ``frequency`` is the mean rate of cycles
-    over the last half of the run. ``spl`` is the sound pressure level in dB re 20 uPa in gases and
-    1 uPa in liquids. In an ac analysis, it is the level ``at`` a frequency or the largest level; in
-    a transient, the level of the rms pressure. Complex values count by their magnitude. With a
-    window, ``from`` and ``to`` or the last ``periods``, a probe reads only this window, such as a
-    steady state.
+    ``argmax`` is the position of the largest value on the scale (Hz in ``ac``, s in a transient).
+    ``value`` is the value at the position ``at``. ``frequency`` is the mean frequency of the cycles
+    in the last half of the run. ``spl`` is the sound pressure level in dB re 20 uPa in gases and 1
+    uPa in liquids. In an ac analysis, ``spl`` is the level at the frequency ``at`` or the largest
+    level; in a transient, ``spl`` is the level of the rms pressure. Of complex values, the
+    magnitude is used. With a window (``from`` and ``to``, or the last ``periods``), a probe reads
+    only the points in the window, such as a steady state.
     """
 
     of: str = Field(
@@ -463,7 +463,7 @@ class Probe(Section):
 
     @property
     def places(self) -> dict[str, float]:
-        """Places on the scale of the analysis by their keys."""
+        """Positions on the scale of the analysis, keyed by the names of their keys."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
 
@@ -506,7 +506,7 @@ class Probe(Section):
         return self
 
 
-class Frame(Section):
+class SceneKeys(Section):
     """Keys of a scene outside of its parts."""
 
     name: str = Field(
@@ -535,7 +535,7 @@ class Frame(Section):
     probes: dict[str, Probe] = Field(default_factory=dict)
     rom: Rom = Rom()
     solver: Solver = Solver()
-    checks: Checks = Checks()
+    checks: CheckActions = CheckActions()
     gates: ErrorLimits = ErrorLimits()
     bench: Bench = Bench()
     include: tuple[FileName, ...] = Field(

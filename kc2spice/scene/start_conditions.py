@@ -1,4 +1,4 @@
-"""Nets at the start of an analysis: clamps, and missing paths to references."""
+"""Checks at the start of an analysis: paths to references, and jumps of velocity."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from itertools import chain
 
 from kc2spice.core.domains import HEAT, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.compose import Groups
+from kc2spice.scene.compose import DisjointGroups
 from kc2spice.scene.model import GROUND, Scene
-from kc2spice.scene.rows import Rest
+from kc2spice.scene.part_records import EquilibriumConditions
 
 Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
 
 
 @dataclass(frozen=True)
 class FloatingNets:
-    """Nets that can drift together, because no path connects them to their reference.
+    """Nets without a path to their reference, which can drift together.
 
-    ``nets`` are the nets of displacements; a sphere has none, because its pins are a velocity and
-    signals. ``parts`` have a pin on the nets. ``bodies`` are the nets of bodies with inertia.
-    ``domain`` is the domain of the pins; in heat and sound, the potential floats instead of a
-    position.
+    ``nets`` are the floating nets of displacements. A sphere has no such net, because its pins are
+    a velocity and signals. ``parts`` are the parts with a pin on the nets, and ``bodies`` the
+    bodies with inertia among them. ``domain`` is the domain of the pins. In the thermal and the
+    acoustic domain, a potential floats in place of a position.
     """
 
     nets: tuple[str, ...]
@@ -31,32 +31,37 @@ class FloatingNets:
     domain: Domain
 
 
-def find_floating_nets(scene: Scene, rests: Mapping[str, Rest]) -> tuple[FloatingNets, ...]:
-    """Return the groups of nets without an equilibrium, in the order of the scene.
+def find_floating_nets(
+    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+) -> tuple[FloatingNets, ...]:
+    """Return the groups of floating nets, in the order of the scene.
 
-    Parts without a model count as clamps.
+    Parts without a model are treated as clamps.
     """
     return tuple(_describe_group(group, scene) for group in _floating_groups(scene, rests))
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
-    """Return groups of nets whose displacements ideal sources connect rigidly.
+    """Return groups of nets whose displacements are rigidly connected by ideal sources.
 
-    The source named ``without`` is ignored. A net that no ideal source ties to another net forms
-    its own group.
+    The source named ``without`` is ignored. A net that no ideal source connects to another net is a
+    separate group.
     """
     rests = scene.rests
     rests.pop(without, None)
     return _group_nets(scene, ((name, rest.ideal) for name, rest in rests.items()))
 
 
-def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
-    """Yield the reasons why the analysis cannot begin.
+def find_start_errors(
+    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+) -> Iterator[UsageError]:
+    """Yield the errors that prevent the start of the analysis.
 
-    A net has no operating point, or a source makes the velocity of an inertia jump. The force of a
-    jump is an impulse: the result of a simulator would depend on its time step.
+    An error is a net without an operating point, or a source that makes the velocity of a mass
+    jump. The force of such a jump is an impulse, so that the result of a simulator would depend on
+    the time step.
 
-    Parts without a model count as clamps that yield.
+    Parts without a model are treated as elastic clamps.
     """
     for group in _floating_groups(scene, rests):
         floating = _describe_group(group, scene)
@@ -66,18 +71,23 @@ def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[Usage
         yield from _list_velocity_jump_errors(scene, rests)
 
 
-def _floating_groups(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
+def _floating_groups(
+    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+) -> Iterator[frozenset[str]]:
     """Yield groups of nets without a path to their reference."""
     groups = _group_nets(scene, ((name, rest.paths) for name, rest in rests.items()))
     return (group for group in groups if "0" not in group)
 
 
 def _position_errors(
-    result: FloatingNets, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
+    result: FloatingNets,
+    group: frozenset[str],
+    scene: Scene,
+    rests: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield the reasons why floating positions have no operating point."""
+    """Yield errors about floating positions without an operating point."""
     kind, path = scene.analysis.type, result.domain.path_to_reference
-    heavy = [name for name, rest in rests.items() if rest.inert and name in result.parts]
+    heavy = [name for name, rest in rests.items() if rest.inertial_pins and name in result.parts]
     part_name = (*result.bodies, *heavy, *result.parts)[0]
     pushed = _list_loads(group, scene, rests)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
@@ -108,22 +118,27 @@ def _position_errors(
         )
 
 
-def _list_loads(group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]) -> list[str]:
-    """Return the parts with a constant force or flow on these nets at t = 0."""
+def _list_loads(
+    group: frozenset[str], scene: Scene, rests: Mapping[str, EquilibriumConditions]
+) -> list[str]:
+    """Return the parts that apply a constant force or flow to these nets at t = 0."""
     result = []
     for name, rest in rests.items():
-        if not group.isdisjoint(scene.nets_of(name, rest.pushed)):
+        if not group.isdisjoint(scene.nets_of(name, rest.loaded_pins)):
             result.append(name)
     return result
 
 
 def _storage_errors(
-    result: FloatingNets, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
+    result: FloatingNets,
+    group: frozenset[str],
+    scene: Scene,
+    rests: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield the reason why floating temperatures or pressures have no operating point.
+    """Yield errors about floating temperatures or pressures without an operating point.
 
-    Without a constant flow, such nets have an operating point: small signals and pulses are
-    stored. The losses of a part count as a constant flow, because they follow from the operating
+    Without a constant flow, such nets have an operating point, because heat or volume is only
+    stored. The losses of a part count as a constant flow, because they depend on the operating
     point.
     """
     kind, domain = scene.analysis.type, result.domain
@@ -147,14 +162,16 @@ def _storage_errors(
     )
 
 
-def _list_velocity_jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
-    """Yield an error for each initial displacement that would need a velocity step of a mass."""
+def _list_velocity_jump_errors(
+    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+) -> Iterator[UsageError]:
+    """Yield an error for each initial displacement that makes the velocity of a mass jump."""
     inert: dict[str, str] = {}
     for name, rest in rests.items():
-        inert |= dict.fromkeys(scene.nets_of(name, rest.inert), name)
+        inert |= dict.fromkeys(scene.nets_of(name, rest.inertial_pins), name)
     inert.pop("0", None)
     for name, rest in rests.items():
-        if not rest.kinked:
+        if not rest.jump_key:
             continue
         part = scene.parts[name]
         ends = set(scene.nets_of(name, chain.from_iterable(rest.ideal)))
@@ -163,7 +180,7 @@ def _list_velocity_jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Itera
         driven = [inert[net] for net in nets if net in inert]
         if driven and len(sides) > 1 and all(map({"0", *inert}.intersection, sides)):
             yield part.wrong(
-                rest.kinked,
+                rest.jump_key,
                 f"the velocity of {driven[0]} jumps with this displacement, which needs an "
                 f"infinite force",
                 f"{driven[0]} fixed to {part.name}",
@@ -174,7 +191,7 @@ def _list_velocity_jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Itera
 
 
 def _units_of_nets(scene: Scene) -> dict[str, str]:
-    """Return the units of nets that need a path to their reference."""
+    """Return the units of the pins whose nets need a path to their reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:
@@ -183,11 +200,11 @@ def _units_of_nets(scene: Scene) -> dict[str, str]:
 
 
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
-    """Group nets that are joined by pairs of pins.
+    """Group the nets that are connected by pairs of pins.
 
-    Pairs of nets that need no path, such as electrical nets, have no effect.
+    Pairs of pins whose nets need no path, such as electrical nets, have no effect.
     """
-    union = Groups(units := _units_of_nets(scene))
+    union = DisjointGroups(units := _units_of_nets(scene))
     for name, pairs in pairs_of_parts:
         for pins in pairs:
             a, b = ("0" if pin == GROUND else scene.net(name, pin) for pin in pins)
@@ -197,8 +214,8 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
 
 def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
-    """Return a group of nets with the parts on it and its domain."""
-    domains: dict[str, Domain] = {}  # domain of the first pin of each part
+    """Return the record of a group of nets, with its parts and its domain."""
+    domains: dict[str, Domain] = {}  # domain of the first pin on the nets, by part
     for key, terminal in scene.terminals.items():
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
             domains.setdefault(key[0], terminal.domain)

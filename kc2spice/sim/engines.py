@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Command, Deck
-from kc2spice.scene.rows import SampledSource
+from kc2spice.scene.part_records import SampledSource
 from kc2spice.sim.ngspice import Share, run_deck
 from kc2spice.sim.output import join_analyses
 

@@ -31,7 +31,7 @@ from kc2spice.core.untrusted_files import split_lines
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.scene.rows import SampledSource
+from kc2spice.scene.part_records import SampledSource
 from kc2spice.sim.ngspice import partial_waves, waves_by_name
 from kc2spice.sim.output import find_altered_run, find_run_failure, read_raw, read_statistics
 

@@ -99,18 +99,18 @@ def warn_of_long_run(build: Build, deck: Deck) -> None:
     scene = build.scene
     if scene.analysis.type != "transient":
         return
-    if any(row.decides for row in scene.numerics):
+    if any(row.overrides_others for row in scene.numerics):
         _warn_of_ringing(build, deck)
         return
-    assert build.largest is not None
-    points = scene.stop / build.largest.step
+    assert build.largest_step is not None
+    points = scene.stop / build.largest_step.step
     if points > MANY_POINTS:
         models = [model for model in build.models.values() if isinstance(model, LinearModel)]
         seconds = points * time_per_point(sum(model.order for model in models))
-        step = format_quantity(build.largest.step, "s", 3)
+        step = format_quantity(build.largest_step.step, "s", 3)
         warnings.warn(
             f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "
-            f"because its largest time step is {step} ({build.largest.why}). A larger "
+            f"because its largest time step is {step} ({build.largest_step.why}). A larger "
             f"solver.max_step or a smaller solver.stop reduces the number of points",
             stacklevel=3,
         )

@@ -28,9 +28,9 @@ from kc2spice.scene.analysis_cards import make_analysis_cards
 from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
 from kc2spice.scene.numerical_settings import MAX_STEP_KEY, describe_plan
+from kc2spice.scene.part_records import Numerics
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
-from kc2spice.scene.rows import Numerics
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measures
@@ -101,7 +101,7 @@ def make_deck(build: Build) -> Deck:
         powers=results.powers,
         measures=list_measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
-        max_step=build.largest.step if build.largest else None,
+        max_step=build.largest_step.step if build.largest_step else None,
         initial=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
@@ -224,7 +224,7 @@ def _strictest_options(rows: Iterable[Numerics]) -> list[Option]:
 
 def _step_comment_lines(build: Build) -> Iterator[str]:
     """Yield a comment on the largest time step, unless the scene sets it."""
-    limit = build.largest
+    limit = build.largest_step
     if limit is not None and not build.scene.solver.max_step:
         yield f"* {format_comment(f'largest step {limit.step:g} s: {limit.why}')}"
 

@@ -22,7 +22,7 @@ from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import parse_vector as parsed
 from kc2spice.netlist.spelling import format_number
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.rows import LargestRealPart, Vector
+from kc2spice.scene.part_records import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}

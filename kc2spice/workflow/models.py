@@ -16,7 +16,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import tabulate_modes
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
-from kc2spice.scene.plausible import apply_action, check_models
+from kc2spice.scene.plausible import apply_check_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.resolve import name_subcircuits, resolve_again, resolve_build
 from kc2spice.workflow.time_step import choose_largest_step, with_linearised_scene
@@ -43,12 +43,12 @@ def build_models(
     require_probed_results(build)
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
     build = replace(build, models=models, libraries=name_subcircuits(scene))
-    for problem in apply_action(check_models(build), scene.checks.plausible):
+    for problem in apply_check_action(check_models(build), scene.checks.plausible):
         raise problem
     build = _resolve_equations(merge_equal_subcircuits(build))
     if scene.analysis.type != "transient":
         return build
-    return replace(build, largest=choose_largest_step(build))
+    return replace(build, largest_step=choose_largest_step(build))
 
 
 def _resolve_equations(build: Build) -> Build:
@@ -56,12 +56,12 @@ def _resolve_equations(build: Build) -> Build:
     return with_linearised_scene(store_laws(resolve_build(build)))
 
 
-def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[str]) -> Build:
+def replace_parts(build: Build, parts: Mapping[str, Part], unchecked_parts: Iterable[str]) -> Build:
     """Return the build with changed keys of parts, and with unchanged models.
 
-    For the parts ``unjudged``, neither checks nor energy balances are computed.
+    For the parts ``unchecked_parts``, neither checks nor energy balances are computed.
     """
-    judged = replace(build, unjudged=build.unjudged.union(unjudged))
+    judged = replace(build, unchecked_parts=build.unchecked_parts.union(unchecked_parts))
     return rebuild_with_scene(judged, replace(build.scene, parts=parts))
 
 

@@ -63,7 +63,7 @@ class CompletedRun:
     @cached_property
     def record(self) -> dict[str, Any]:
         """Content of ``result.json`` without the names of files."""
-        run, build, step = self.run, self.run.build, self.run.build.largest
+        run, build, step = self.run, self.run.build, self.run.build.largest_step
         attempts = run.attempts
         record = {
             "scene": build.scene.name,

@@ -31,7 +31,7 @@ from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
-from kc2spice.scene.rows import StepLimit, Vector
+from kc2spice.scene.part_records import StepLimit, Vector
 
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
@@ -74,11 +74,13 @@ def choose_largest_step(build: Build) -> StepLimit:
     if scene.solver.max_step is not None:
         return StepLimit(scene.solver.max_step, "set by solver.max_step")
     scales = scene.numerics
-    decided = min(filter(attrgetter("decides"), scales), key=attrgetter("step"), default=None)
+    decided = min(
+        filter(attrgetter("overrides_others"), scales), key=attrgetter("step"), default=None
+    )
     if decided is not None:
-        return StepLimit(min(decided.step, scene.stop), decided.what)
+        return StepLimit(min(decided.step, scene.stop), decided.description)
     limits = [StepLimit(scene.stop / MIN_POINTS, f"1/{MIN_POINTS} of the run")]
-    limits += [StepLimit(row.step, row.what) for row in scales]
+    limits += [StepLimit(row.step, row.description) for row in scales]
     start = min(limits, key=attrgetter("step"))
     linearised = linearised_scene(build)
     if not linearised.resolved_by_error_control and start.step > NONLINEAR_STEP:
@@ -298,8 +300,8 @@ def list_step_checks(
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
-    decided = any(map(attrgetter("decides"), scene.numerics))
-    known = not decided and not build.unjudged
+    decided = any(map(attrgetter("overrides_others"), scene.numerics))
+    known = not decided and not build.unchecked_parts
     worst, exact = _compare_exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
         yield _make_step_check("steps against the exact motion", worst)

@@ -27,7 +27,9 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
     balances: dict[str, Balance] = {}
     gates: list[tuple[str, Gate]] = []
     for name, part in scene.parts.items():
-        for row in part.type.checks(part, build, waves) if name not in build.unjudged else ():
+        for row in (
+            part.type.checks(part, build, waves) if name not in build.unchecked_parts else ()
+        ):
             if isinstance(row, Check):
                 checks.append(row)
             elif isinstance(row, Balance):

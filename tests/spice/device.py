@@ -84,7 +84,7 @@ def built(scene, model=None, table=None, others=False, **words):
             models[part.name] = part.type.build(part, scene, Clock(ignore_progress))
     result = resolve_build(Build(scene, models, name_subcircuits(scene), **words))
     timed = scene.analysis.type == "transient"
-    return replace(result, largest=choose_largest_step(result)) if timed else result
+    return replace(result, largest_step=choose_largest_step(result)) if timed else result
 
 
 def models(scene, *sets):

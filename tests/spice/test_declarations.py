@@ -105,7 +105,7 @@ def example(name):
         scene = load_scene({"name": "example", **parse_toml(given)})
     else:
         scene = next(each for each in map(load_scene, list_gallery()) if each.of(name))
-    return scene, scene.of(name)[0]
+    return scene, scene.list_parts(name)[0]
 
 
 def printed(name, dialect):

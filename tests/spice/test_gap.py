@@ -344,6 +344,6 @@ def test_forces_that_cancel_in_a_film_do_not_set_the_step(branches):
     tables = pulsed(branches=branches)
     del tables["shake"]["pulse"]
     tables["shake"]["sine"] = {"amplitude": HEIGHT, "frequency": 1e5}
-    limit = build_models(load_scene(tables), Clock(ignore_progress)).largest
+    limit = build_models(load_scene(tables), Clock(ignore_progress)).largest_step
     assert 1e-5 / 200 < limit.step < 1e-5 / 50
     assert "a motion" not in limit.why

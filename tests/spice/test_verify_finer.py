@@ -175,6 +175,6 @@ def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_pa
 @pytest.mark.parametrize(("spacing", "passed"), [("20 um", False), ("10 um", True)])
 def test_verify_halves_the_basis_of_a_pressure(spacing, passed):
     scene = load_scene("impact", {"contact.shape": "pressure", "contact.spacing": spacing})
-    (part,) = scene.of("contact")
+    (part,) = scene.list_parts("contact")
     (check,) = part.type.finer_mesh(part, Build(scene, {}), Clock(ignore_progress), 1e9)
     assert check.passed is passed

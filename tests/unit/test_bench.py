@@ -12,7 +12,7 @@ def simulator(scene, *_, **__):
     """Errors of tolerance and order have opposite signs; time grows as either gets finer."""
     reltol, order = scene.solver.reltol, scene.rom.order
     value = 1.0 + reltol - 3e-3 / order
-    build = SimpleNamespace(scene=scene, largest=None, trust=False, functions={}, models={})
+    build = SimpleNamespace(scene=scene, largest_step=None, trust=False, functions={}, models={})
     cost = 1e-2 * order / reltol**0.5
     rest = {"caught": np.asarray(True), "noise": np.asarray(np.sin(1e9 * reltol))}
     values, waves = {"speed": np.asarray(value), **rest}, Waveforms({"time": np.arange(2)}, {})

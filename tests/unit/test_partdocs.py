@@ -29,7 +29,7 @@ def test_examples_are_scenes_that_load():
     for name, kind in load_part_types().items():
         if kind.example:
             scene = load_scene({"name": "example", **parse_toml(kind.example)})
-            assert scene.of(name), name
+            assert scene.list_parts(name), name
 
 
 def test_command_line_lists_them(docs, cli):

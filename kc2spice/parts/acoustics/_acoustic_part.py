@@ -37,7 +37,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.rows import Rest, Vector
+from kc2spice.scene.part_records import EquilibriumConditions, Vector
 
 FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant=True)
 
@@ -143,9 +143,9 @@ class AcousticPart(PartType[FluidKeysT]):
         ambient = Terminal.of(AMBIENT, ACOUSTIC, None if joined else GROUND)
         return (*ends, replace(ambient, required=joined))
 
-    def at_rest(self, part: Part[FluidKeysT], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[FluidKeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the pins between which the network passes a steady flow."""
-        return Rest(self.paths(part))
+        return EquilibriumConditions(self.paths(part))
 
     def subcircuits(
         self, part: Part[FluidKeysT], build: Build, header: Header

@@ -30,8 +30,8 @@ from kc2spice.parts.acoustics._fluids import (
     FluidKeys,
 )
 from kc2spice.scene.model import GovernedScene, Part, Scene
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 # relaxations in each decade of frequency; the error of the wall losses is below 1 %

@@ -48,8 +48,8 @@ from kc2spice.parts.acoustics._fluids import (
 )
 from kc2spice.parts.acoustics.cavity import CORNERS_PER_DECADE, list_relaxations
 from kc2spice.scene.model import GROUND, Build, GovernedScene, JoinedScene, Part, Scene, Terminal
+from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Vector
 
 End = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
@@ -194,7 +194,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         for end in self.ends(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]
-            for other in scene.of("radiation"):
+            for other in scene.list_parts("radiation"):
                 meets = other.name == joined or other.pins.get("face") == f"{part.name}.{end}"
                 if meets and correction != "none":
                     warnings.warn(

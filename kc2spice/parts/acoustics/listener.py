@@ -42,8 +42,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
+from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Vector
 
 OUT = "out"  # pin of the sound pressure
 RADIATION = "radiation"  # part type of the sources
@@ -119,7 +119,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         self, part: Part[ListenerKeys], scene: DeclaredScene
     ) -> tuple[Part[RadiationKeys], ...]:
         """Return the radiating surfaces whose sound reaches the listener."""
-        every = {item.name: item for item in scene.of_schema(RADIATION, RadiationKeys)}
+        every = {item.name: item for item in scene.list_parts_with_schema(RADIATION, RadiationKeys)}
         if not part.keys.sources:
             return tuple(every.values())
         return tuple(every[name] for name in part.keys.sources if name in every)
@@ -142,7 +142,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
     def problems(self, part: Part[ListenerKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        known = [item.name for item in scene.of(RADIATION)]
+        known = [item.name for item in scene.list_parts(RADIATION)]
         for k, name in enumerate(part.keys.sources):
             if name not in known:
                 where = f"{part.name}.sources.{k}"

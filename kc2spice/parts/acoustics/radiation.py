@@ -42,8 +42,8 @@ from kc2spice.parts.acoustics._radiation_impedance import (
 from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, delay_wave, pass_delay
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene, Terminal
+from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Vector
 
 FACE, SOUND = "face", "sound"  # pins
 REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound``

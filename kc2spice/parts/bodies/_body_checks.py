@@ -234,7 +234,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
-        if any(row.decides for row in rows):
+        if any(row.overrides_others for row in rows):
             lowest = build.model(part, LinearModel).facts.get("resonance_short_hz")
             if lowest is not None:
                 name = f"band of {part.name}, first resonance"

@@ -124,7 +124,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
-            content = max((row.content for row in scene.numerics), default=0.0)
+            content = max((row.highest_frequency for row in scene.numerics), default=0.0)
             result = Rom(tolerance=1e-4, band=(0.0, max(content, self.default_band_end(scene))))
         if specified is None or result is specified:
             return result
@@ -138,7 +138,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
-        content = (row.content for row in scene.numerics if math.isfinite(row.step))
+        content = (row.highest_frequency for row in scene.numerics if math.isfinite(row.step))
         return max([self.default_band_end(scene), *content])
 
     def default_band_end(self, scene: Scene) -> float:

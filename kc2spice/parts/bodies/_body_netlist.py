@@ -20,8 +20,8 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.pencil import first_order
 from kc2spice.scene.model import Build, DeclaredScene, Part, Scene
+from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import find_current_into, find_flow_into
-from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.heat_sources import METER
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, RINGING_WEIGHTS, StepWeights

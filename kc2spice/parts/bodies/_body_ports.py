@@ -27,7 +27,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.rows import Rest
+from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.synthesis.terminals import reference_pin
 
 # Domain of each kind of port that has one pin and the common reference pin.
@@ -136,16 +136,16 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
         return scene.pins(part.name)[last]
 
-    def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium: pairs of a pin and the reference pin."""
         last = self.reference(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().at_rest(part, scene).paths
         if self.gives_off_heat(part, scene):
             paths = tuple(path for path in paths if HEAT not in path)
-        return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
+        return EquilibriumConditions(tuple((pin, end) for pin, _ in paths if pin != end))
 
-    def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:
+    def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> EquilibriumConditions:
         """Return the paths in equilibrium with the built model.
 
         The pins of a supported body have paths to the reference pin, and the pins of a free body
@@ -158,7 +158,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         if not has_energy_free_mode(model):
             charged = {port.terminals[0] for port in ports if port.charged}
             paths = tuple(pair for pair in rest.paths if pair[0] not in charged)
-            return Rest(paths, inert=inert)
+            return EquilibriumConditions(paths, inertial_pins=inert)
         free = {port.name for port in ports if not port.charged}
         fixed, pins = [], []
         for pin, end in rest.paths:
@@ -167,7 +167,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
             else:
                 fixed.append((pin, end))
         first, *others = pins or [GROUND]
-        return Rest((*fixed, *product([first], others)), inert=inert)
+        return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins of the used mechanical ports; a displacement of each pin moves a mass."""
@@ -237,7 +237,7 @@ def _names_in_scene(port: Port) -> set[str]:
 
 def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
     """Yield the contacts that press on ports of ``part``."""
-    for contact in scene.of_schema("contact", ContactKeys):
+    for contact in scene.list_parts_with_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
         if any(target.startswith(f"{part.name}.") for target in targets):
             yield contact

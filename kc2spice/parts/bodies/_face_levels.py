@@ -23,7 +23,7 @@ from kc2spice.parts.bodies._face_response import (
     FaceOfBody,
     FacingFluid,
 )
-from kc2spice.scene.rows import Neglected
+from kc2spice.scene.part_records import Neglected
 
 TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a support
 # Largest k a for which the dipole formula holds. At this k a, the exact pressure of a rigid disc

@@ -35,7 +35,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.rows import LargestRealPart, Neglected
+from kc2spice.scene.part_records import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 

@@ -37,8 +37,8 @@ from kc2spice.parts.bodies._sounding import SoundingBody
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.plausible import check_layers
-from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.device import BondedBlocks

@@ -17,7 +17,7 @@ import numpy as np
 from kc2spice.core.quantities import AIR_DENSITY
 from kc2spice.fem.materials import material
 from kc2spice.physics.declaration import ONE_TEMPERATURE
-from kc2spice.scene.rows import Neglected
+from kc2spice.scene.part_records import Neglected
 
 if TYPE_CHECKING:
     # Imported for annotations only, because the module loads the finite elements.

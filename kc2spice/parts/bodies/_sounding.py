@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._linear_keys import FieldKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import Build, GovernedScene, Part, Scene
-from kc2spice.scene.rows import Neglected
+from kc2spice.scene.part_records import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel

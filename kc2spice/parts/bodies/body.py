@@ -71,8 +71,8 @@ from kc2spice.parts.bodies._neglected import Envelope, box_envelope
 from kc2spice.parts.bodies._pictures import draw_edges
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected
 
 Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")

@@ -88,8 +88,8 @@ from kc2spice.rom.matrix_terms import MatrixTerms
 from kc2spice.rom.ranges import RangeTask
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import find_current_into, register
-from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.heat import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # number of elements through each layer
@@ -295,15 +295,15 @@ dc = "1 W"
         if part.keys.mesh is not None:
             yield from find_mesh_problems(part, scene)
 
-    def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths of steady heat flow: to the pin ``ambient``, or between other pins."""
         rest = super().at_rest(part, scene)
         if part.keys.leads_away:
             return rest
         first, *others = (pin for pin, _ in rest.paths)
-        return Rest(tuple((pin, first) for pin in others))
+        return EquilibriumConditions(tuple((pin, first) for pin in others))
 
-    def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> Rest:
+    def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> EquilibriumConditions:
         """Return the paths of heat, which are the same with and without the built model."""
         return build.scene.records[part.name].rest
 

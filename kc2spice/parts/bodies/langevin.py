@@ -35,8 +35,8 @@ from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.parts.bodies._neglected import NOT_ESTIMATED_TEXT
 from kc2spice.scene.model import Part, Scene
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected
 
 _RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
 

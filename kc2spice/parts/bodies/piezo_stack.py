@@ -38,9 +38,9 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import Neglected, Numerics
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
-from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
@@ -212,7 +212,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
-        if keys.mounting == "free" and scene.of("contact") and transient:
+        if keys.mounting == "free" and scene.list_parts("contact") and transient:
             problem = "the mounting of the chip is free, but another part rests on the chip"
             yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
         if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
@@ -263,7 +263,7 @@ class PiezoStack(MeshedBody[Stack]):
         40 to 60 V, the relative error at one setting is ten times the error at 100 V. The error is
         proportional to reltol^0.55.
         """
-        if not scene.of("contact"):
+        if not scene.list_parts("contact"):
             return
         ratio = math.pi * DAMPING_FREQUENCY * part.keys.damping.beta
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
@@ -277,7 +277,7 @@ class PiezoStack(MeshedBody[Stack]):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
-        yield Numerics(what, MAX_TIME_STEP, decides=True, reltol=close, chgtol=chgtol)
+        yield Numerics(what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the modes; after a low kick, a ringing chip hits the sphere."""
@@ -362,7 +362,7 @@ class PiezoStack(MeshedBody[Stack]):
         result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
             return result
-        pressed = bool(build.scene.of("contact"))
+        pressed = bool(build.scene.list_parts("contact"))
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
@@ -371,7 +371,7 @@ class PiezoStack(MeshedBody[Stack]):
         if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, stresses_under_force
 
-            contacts = scene.of_schema("contact", ContactKeys)
+            contacts = scene.list_parts_with_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = make_pair(scene.parts[name], scene).basis_forces(most)
@@ -466,7 +466,7 @@ def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | N
 
     The basis is as wide as the rings.
     """
-    for contact in scene.of_schema("contact", ContactKeys):
+    for contact in scene.list_parts_with_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import choose_pressure_basis
 
@@ -515,7 +515,7 @@ def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
-    drivers = scene.of("half_bridge", "amplifier", "charge_drive")
+    drivers = scene.list_parts("half_bridge", "amplifier", "charge_drive")
     result = [part.type.rails(part)[1] for part in drivers]
     for source in scene.parts.values():
         wave = source.type.voltage(source, scene)

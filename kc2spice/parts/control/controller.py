@@ -29,8 +29,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import SampledSource, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import SampledSource, Vector
 from kc2spice.scene.settings import FileName
 
 Function = Callable[[float, Mapping[str, float]], float]

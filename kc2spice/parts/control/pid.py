@@ -35,8 +35,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
+from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.header import render_library
 
 SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point

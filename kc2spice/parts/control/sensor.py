@@ -31,8 +31,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
+from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Vector
 
 VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, voltage of a displacement pin for one metre
 

@@ -24,13 +24,13 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
     the axis of surfaces in one fluid; otherwise, the result is None. In a transient, the sources
     also need a common period.
     """
-    listener, lines = scene.only("listener"), (f"{part.name}.v", f"{part.name}.i")
-    if listener is None or scene.only(part.type.name) is None:
+    listener, lines = scene.find_only_part("listener"), (f"{part.name}.v", f"{part.name}.i")
+    if listener is None or scene.find_only_part(part.type.name) is None:
         return None
     keys = listener.with_schema(ListenerKeys).keys
     sources = [
         item.keys
-        for item in scene.of_schema("radiation", RadiationKeys)
+        for item in scene.list_parts_with_schema("radiation", RadiationKeys)
         if item.name in keys.sources or not keys.sources
     ]
     alike = {(item.fluid.density, item.fluid.sound_speed, item.shape) for item in sources}

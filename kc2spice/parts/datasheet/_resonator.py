@@ -47,7 +47,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.rows import Neglected, Rest, Vector
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.settings import PartNumber
 from kc2spice.synthesis.heat_sources import HEAT_PIN_ROWS, METER, heat_source, meter_cards
 
@@ -196,10 +196,10 @@ class ResonatorPart(NumberedPart[KeysT]):
             *(HEAT_TERMINALS if is_heated(part, scene) else ()),
         )
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium, which connect all pins except the heat pin."""
         paths = super().at_rest(part, scene).paths
-        return Rest(tuple(path for path in paths if HEAT not in path))
+        return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header

@@ -61,8 +61,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Rest, Vector
 
 RADIATION = "radiation"  # part type whose impedance contains the mass of the air
 # s, le / re for a data sheet without le; the corner frequency of 159 kHz is above the audio band
@@ -243,9 +243,9 @@ stop = "1 kHz"
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
         return moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
-    def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the path in equilibrium: the suspension between cone and frame."""
-        return Rest((self.moving_pins,), inert=self.moving_pins[:1])
+        return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the declaration, and current and voltage of the whole part."""

@@ -21,8 +21,8 @@ from kc2spice.parts.datasheet._resonator import (
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
+from kc2spice.scene.part_records import Neglected, Numerics
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Numerics
 
 # Fraction of the operate time that is the rise time of the current, for a data sheet without an
 # inductance.

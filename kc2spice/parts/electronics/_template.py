@@ -43,7 +43,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.rows import Vector
+from kc2spice.scene.part_records import Vector
 from kc2spice.synthesis.header import ROOM_TEXT, render_library
 
 GAIN_BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
@@ -235,7 +235,11 @@ class Driver(TemplatePart[KeysT]):
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the name of the template if the scene has one driver of this type."""
-        return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
+        return (
+            self.template.removeprefix("driver_")
+            if len(scene.list_parts(self.name)) == 1
+            else part.name
+        )
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
@@ -287,7 +291,7 @@ class CoilDriver(Driver[KeysT]):
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         """Join the command to the only controller of the scene."""
-        control = scene.only("pid")
+        control = scene.find_only_part("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part[KeysT], build: Build) -> Load:

@@ -19,8 +19,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import Neglected, Numerics, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Numerics, Vector
 
 
 class DiodeKeys(Section):

@@ -46,8 +46,8 @@ from kc2spice.scene.model import (
     Part,
     WiredScene,
 )
+from kc2spice.scene.part_records import HighestFrequency, Numerics
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import HighestFrequency, Numerics
 
 
 class AmplifierKeys(InputNoise):

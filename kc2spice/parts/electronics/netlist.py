@@ -37,8 +37,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
+from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import FileName
 
 # Name of the current of an element in ngspice, keyed by its letter; "" for elements with a branch
@@ -128,7 +128,7 @@ class Netlist(PartType[NetlistKeys]):
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Join the pin ``command`` of a driver table to the output of the controller."""
-        control = scene.only("pid")
+        control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _pins(part, scene):
             return {}

@@ -33,8 +33,14 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    HighestFrequency,
+    Numerics,
+    SweptSource,
+    Vector,
+)
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import HighestFrequency, Numerics, Rest, SweptSource, Vector
 
 
 class Kind(NamedTuple):
@@ -232,7 +238,7 @@ class Source(PartType[SourceKeys]):
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
-    def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the prescribed difference of the pins, or the constant flow into them."""
         pair = (("out", "ret"),)
         if SOURCE_TYPES[part.keys.kind].letter == "V":
@@ -240,9 +246,9 @@ class Source(PartType[SourceKeys]):
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
             # A sine with a later start also has a jump of its derivative.
             kinked = part.keys.kind == "displacement" and moves
-            return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
+            return EquilibriumConditions(pair, pair, jump_key=part.keys.shape if kinked else "")
         constant = part.keys.waveform(np.zeros(1))[0]
-        return Rest(pushed=("out", "ret") if constant else ())
+        return EquilibriumConditions(loaded_pins=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
@@ -372,7 +378,7 @@ def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
         moving = np.diff(times)[np.diff(values) != 0]
         if moving.size:
             yield Numerics(
-                f"edges of {name}, {moving.min():g} s", content=EDGE_FACTOR / moving.min()
+                f"edges of {name}, {moving.min():g} s", highest_frequency=EDGE_FACTOR / moving.min()
             )
 
 

@@ -46,8 +46,8 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):

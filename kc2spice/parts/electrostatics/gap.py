@@ -64,8 +64,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
+from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Vector
 
 PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
 # Error of the ratio of force to displacement at an operating point, which iterations cause.

@@ -31,8 +31,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import Governed, SweptSource, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, SweptSource, Vector
 
 # number of heights at which the lookup is read: five for each segment of the lookup
 LOOKUP_HEIGHTS = 2001
@@ -170,7 +170,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         gates = build.scene.gates
         limits = dict.fromkeys(SOLUTION_PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
         of = f"{_coils(part, build.scene).name}.force.*"
-        yield Gate("force, of the largest", of, limits, "largest", leads=True)
+        yield Gate("force, of the largest", of, limits, "largest", is_main=True)
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""

@@ -36,8 +36,8 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import Governed, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, Vector
 
 # F; in series with a source of 1 C / CHARGE_CAPACITANCE, it carries one coulomb at any anode
 # voltage
@@ -168,7 +168,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
         limits = dict.fromkeys(SOLUTION_PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
-        yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+        yield Gate("response, whole band", "*>*", limits, "spectral", is_main=True)
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
 

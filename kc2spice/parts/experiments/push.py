@@ -28,8 +28,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import Governed, Numerics, SweptSource, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, Numerics, SweptSource, Vector
 
 
 class PushKeys(Section):
@@ -132,7 +132,7 @@ class Push(TouchablePart[PushKeys]):
             "ngspice_vs_fom": max(gates.imprint_ngspice, law),
         }
         measure: Measure = "largest" if law else "relative"
-        yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
+        yield Gate("static force", f"{pair.part.name}.force", limits, measure, is_main=True)
 
     def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
         """Return the equations of the part."""

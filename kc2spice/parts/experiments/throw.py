@@ -25,8 +25,8 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import Numerics, State
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Numerics, State
 
 
 class ThrowKeys(Section):
@@ -113,7 +113,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         place = dict.fromkeys(SOLUTION_PAIRS, max(gates.position, law)) | {
             "ngspice_vs_rom": gates.position
         }
-        yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
+        yield Gate("position over travel", f"{ball}.y", place, "travel", is_main=True)
         speed = dict.fromkeys(SOLUTION_PAIRS, gates.rebound_velocity)
         yield Gate("rebound velocity", "rebound_velocity_m_s", speed)
         time = dict.fromkeys(SOLUTION_PAIRS, gates.separation_time)

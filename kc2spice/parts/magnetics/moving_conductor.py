@@ -57,8 +57,8 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import Neglected, Numerics
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Numerics
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
@@ -568,7 +568,7 @@ def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) ->
     """Return the sum [Ohm] of the resistors in series with a coil, at one of its ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
-    for resistor in scene.of("resistor"):
+    for resistor in scene.list_parts("resistor"):
         if len({scene.net(resistor.name, pin) for pin in "ab"} & coil_nets) == 1:
             result += resistor.keys.model_dump()["resistance"]
     return result

@@ -17,8 +17,8 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected
 
 
 class Magnetisation(Section):

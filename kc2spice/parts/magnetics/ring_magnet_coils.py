@@ -62,9 +62,9 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
-from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
@@ -226,10 +226,10 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
         return (*ends, *thermal)
 
-    def at_rest(self, part: Part[Coils], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[Coils], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium: each pin except the heat pin is fixed to ground."""
         clamps = super().at_rest(part, scene).paths
-        return Rest(tuple(path for path in clamps if HEAT not in path))
+        return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
         """Join position and velocity to the pins of the sphere or of the part that moves it."""
@@ -274,7 +274,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
                 hint = f"move {other_name}.y by at least {_overlap(body, other):g} m"
                 yield part.wrong(other_name, f"this body overlaps {name}.{body_name}", hint=hint)
-        resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
+        resting = scene.analysis.type == "transient" and bool(scene.list_parts("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
             got, expected = (
                 f"rest height {radius:g} m",
@@ -550,7 +550,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         if has_real_coils(part, build.scene):
             yield plot_impedance(part, build)
         yield plot_force(part, build)
-        table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
+        table, alone = build.model(part, EMTable), len(build.scene.list_parts(self.name)) == 1
         arrays = {"y": table.y} | dict(zip(FORCE_COEFFICIENTS, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
@@ -628,7 +628,7 @@ def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
 
 def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
     """Return whether the netlist of the part has terminals of both coils."""
-    return has_real_coils(part, scene) or bool(scene.of("current_cases"))
+    return has_real_coils(part, scene) or bool(scene.list_parts("current_cases"))
 
 
 def _format_end(height: float) -> str:
@@ -656,15 +656,15 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
     if y.max() <= table.y[-1]:
         travel, room = float(y[0] - y.min()), float(y[0] - table.y[0])
     share = KICK_MARGIN * math.sqrt(room / travel) if room > 0 else 0.0
-    for part in scene.of("piezo_stack") if share else ():
+    for part in scene.list_parts("piezo_stack") if share else ():
         drive = getattr(part.keys, "drive", None)
         if drive is not None:
             voltage = float(f"{share * drive.voltage:.2g}")
             return f'lower the kick, such as {part.name}.drive.voltage = "{voltage:g} V"'
-    for part in scene.of("throw") if share else ():
+    for part in scene.list_parts("throw") if share else ():
         velocity = float(f"{share * getattr(part.keys, 'velocity', 0.0):.2g}")
         return f'lower the velocity, such as {part.name}.velocity = "{velocity:g} m/s"'
-    names = ", ".join(part.name for part in scene.of("source"))
+    names = ", ".join(part.name for part in scene.list_parts("source"))
     return f"lower the source that accelerates the sphere: {names}"
 
 
@@ -693,7 +693,7 @@ def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
 
     The result is 1 A if another part drives the coils, and 0 without a drive.
     """
-    limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
+    limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", Control)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 

@@ -374,7 +374,7 @@ def make_pair(contact: Part, scene: GovernedScene) -> Pair:
 
 def single_pair(scene: GovernedScene) -> Pair | None:
     """Return the contact of the scene if there is exactly one."""
-    contact = scene.only("contact")
+    contact = scene.find_only_part("contact")
     return None if contact is None else make_pair(contact, scene)
 
 
@@ -404,7 +404,7 @@ def impact_penetration(
     1881).
     """
     energy = 0.5 * mass * speed**2
-    for contact in scene.of("contact"):
+    for contact in scene.list_parts("contact"):
         pair = make_pair(contact, scene)
         if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
             if pair.b.elastic:
@@ -471,7 +471,7 @@ def last_source_change(scene: WiredScene) -> float:
     changes, or if another source never stops changing.
     """
     ends = []
-    for source in scene.of_schema("source", SourceKeys):
+    for source in scene.list_parts_with_schema("source", SourceKeys):
         wave = source.keys.waveform
         if scene.joined_types(source.name, "out") <= {"pid"}:
             continue

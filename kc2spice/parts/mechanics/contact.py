@@ -41,8 +41,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numerics, Vector
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
 # Pass limits of the relative difference between launch velocities with the reduced and the full
 # model: a multiple of the error estimate of the reduction, the limit without a certificate, and the
@@ -109,14 +109,14 @@ class Contact(DeclaredPart[ContactKeys]):
             {INDENTATION_PIN: f"{pair.b.elastic}.{SPHERE_PATCH}"} if pair.b.elastic else {}
         )
 
-    def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium, with paths through surfaces that touch at rest."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
         clamps = [*product(pins, (GROUND,))]
         if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
             clamps += product(pair.ports, ("b",))
-        return Rest(tuple(clamps))
+        return EquilibriumConditions(tuple(clamps))
 
     def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield tighter tolerances for damped and curved laws.
@@ -129,7 +129,7 @@ class Contact(DeclaredPart[ContactKeys]):
             DAMPED_RELTOL_FACTOR if part.keys.damping else CURVED_RELTOL_FACTOR if curved else 1.0
         )
         what = "contact, as far as a body has motions"
-        yield Numerics(what, content=CONTACT_FREQUENCY, reltol=reltol)
+        yield Numerics(what, highest_frequency=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -203,7 +203,7 @@ class Contact(DeclaredPart[ContactKeys]):
                 reduced = min(ESTIMATE_FACTOR * certificate.error_estimate, MAX_LAUNCH_LIMIT)
             limits = dict.fromkeys(SOLUTION_PAIRS, gates.launch_full_model or steps + reduced)
             limits["ngspice_vs_rom"] = gates.launch_velocity or steps
-            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, is_main=True)
         place = pair.lowest_point(waves)
         if "time" in waves:
             yield from _check_events(pair, waves)

@@ -25,8 +25,8 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
+from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 
@@ -198,7 +198,8 @@ def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[Contac
     """Return the only contact of the sphere, which must have a pressure basis."""
     owner = scene.parts[part.keys.of]
     pairs = (
-        (contact, make_pair(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)
+        (contact, make_pair(contact, scene))
+        for contact in scene.list_parts_with_schema("contact", ContactKeys)
     )
     result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
     if len(result) != 1:

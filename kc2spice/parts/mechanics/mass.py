@@ -26,9 +26,9 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
+from kc2spice.scene.part_records import EquilibriumConditions, FrameShake
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_dimensions
-from kc2spice.scene.rows import FrameShake, Rest
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
@@ -126,10 +126,12 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
-    def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the pins of the mass in equilibrium; its weight acts at ``a``."""
         falls = part.keys.weight and scene.gravity
-        return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
+        return EquilibriumConditions(
+            (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
+        )
 
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -186,7 +188,9 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         if group is None or group.bodies:
             return None
         fixed = next(nets for nets in find_rigid_groups(scene) if net in nets)
-        masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
+        masses = (
+            m.name for m in scene.list_parts(part.type.name) if scene.nets[m.name, "a"] in fixed
+        )
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:

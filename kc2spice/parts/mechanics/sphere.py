@@ -43,9 +43,9 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
+from kc2spice.scene.part_records import EquilibriumConditions, Neglected, State, Vector
 from kc2spice.scene.parttype import compute_pin_forces, register
 from kc2spice.scene.plausible import check_range
-from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.header import SIGN_TEXT
 
@@ -191,7 +191,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
         bodies = [body.name for body in scene.bodies]
-        if bodies and not scene.of("contact") and scene.analysis.type == "transient":
+        if bodies and not scene.list_parts("contact") and scene.analysis.type == "transient":
             yield UsageError(
                 "nothing touches the sphere",
                 where="contact",
@@ -226,11 +226,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
-    def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the pins of the sphere in equilibrium; its weight acts at ``v``."""
         if _has_prescribed_motion(part, scene):
-            return Rest()
-        return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
+            return EquilibriumConditions()
+        return EquilibriumConditions(
+            (("base", GROUND),), loaded_pins=("v",) if scene.gravity else (), inertial_pins=("v",)
+        )
 
     def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
         """Return zero displacement at t = 0 for a sphere without support."""
@@ -318,7 +320,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         if y is None or "time" not in waves:
             return
         levels, bands = [], []
-        for pid in build.scene.of_schema("pid", Control):
+        for pid in build.scene.list_parts_with_schema("pid", Control):
             if controlled_sphere(pid, build.scene) is part:
                 goal, band = 1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)
                 levels.append((goal, "set point, ±5 % of the step"))
@@ -353,7 +355,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         keys = part.keys
         mass = format_quantity(keys.mass, "kg")
         yield f"{mass}, vertical motion, gravity {scene.gravity:g} m/s2"
-        linear = any(c.keys.law == "linear" for c in scene.of_schema("contact", ContactKeys))
+        linear = any(
+            c.keys.law == "linear" for c in scene.list_parts_with_schema("contact", ContactKeys)
+        )
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
             yield Neglected("elasticity of the sphere", why, _elasticity_effect(part, scene))
@@ -380,7 +384,7 @@ def _elastic_part(part: Part[SphereKeys]) -> str:
 
 def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
     """Return the sphere whose height a controller controls."""
-    ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
+    ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.find_only_part("sphere")
     return None if ball is None else ball.with_schema(SphereKeys)
 
 
@@ -419,7 +423,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
 def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """Return the effect of an elastic sphere, by default of steel, on the contact."""
     sphere_modulus = sphere_material(part).indentation_modulus
-    moduli = [make_pair(contact, scene).a.modulus for contact in scene.of("contact")]
+    moduli = [make_pair(contact, scene).a.modulus for contact in scene.list_parts("contact")]
     stiffest = max(filter(None, moduli), default=0.0)
     if not stiffest:
         return "not estimated"

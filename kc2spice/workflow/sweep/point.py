@@ -220,7 +220,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
     an energy balance.
     """
-    known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
+    known, parts, unchecked_parts = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
         library, _, name = key.partition(".")
         users = {library_stem(p) for p in deck.parts if library in dict(parameter_owners(p))}
@@ -229,8 +229,8 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
             if other is not None:
                 parts[owner] = other
             elif value != known.get(key):
-                unjudged.add(owner)
-    return replace_parts(build, parts, unjudged)
+                unchecked_parts.add(owner)
+    return replace_parts(build, parts, unchecked_parts)
 
 
 def _disk_is_full() -> bool:

@@ -70,14 +70,16 @@ def list_gate_checks(
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
     for part, item in gates:
-        wave = f"{part}.{item.of}"
-        gate = replace(item, of=wave) if wave in exact.metrics else item
+        wave = f"{part}.{item.result}"
+        gate = replace(item, result=wave) if wave in exact.metrics else item
         value = gate_difference(gate, ours, exact)
         if value is None:
             continue
         if pair in gate.limits:
-            limits.append(Check(f"{gate.words}, {words}", value, gate.limits[pair], gate.unit))
-        if gate.leads and not math.isnan(value):
+            limits.append(
+                Check(f"{gate.description}, {words}", value, gate.limits[pair], gate.unit)
+            )
+        if gate.is_main and not math.isnan(value):
             leading.append(value)
     return limits, max(leading, default=None)
 
@@ -89,12 +91,12 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
     both solutions lack the value, the result is None. If one solution lacks the value, the result
     is nan.
     """
-    if gate.of in exact.metrics:
-        a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
+    if gate.result in exact.metrics:
+        a, b = ours.metrics.get(gate.result), exact.metrics[gate.result]
         if a is None or b is None:
             return None if a is b else math.nan
         return abs(a - b) if gate.measure == "absolute" else abs(a / b - 1.0)
-    names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.of))
+    names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.result))
     if not names:
         return None
     return _wave_difference(gate, ours.waves, exact.waves, names)

@@ -1,4 +1,4 @@
-"""Records that part types return: states, results, numerical requirements, frames."""
+"""Records about parts: initial states, results, numerical requirements and frames."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from kc2spice.netlist.expression import parse_vector, split_terms
 from kc2spice.netlist.powers import PowerTerm
 
 Pin = tuple[str, str]
-Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
-DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the unit of a spectral density
-PERPENDICULAR_COSINE = 1e-9  # largest cosine of two perpendicular directions (rounding error)
+Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or at a pin
+DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the units of spectral densities
+PERPENDICULAR_COSINE = 1e-9  # rounding error of the cosine of a right angle
 
 
 @dataclass(frozen=True)
 class Neglected:
-    """Neglected effect, the reason, and the largest error that it causes.
+    """Effect that a model neglects, with the reason and the largest error that it causes.
 
-    The summary of a run contains ``summarised`` effects.
+    The summary of a run contains the effects with ``summarised``.
     """
 
     effect: str
@@ -34,46 +34,47 @@ class Neglected:
 
 @dataclass(frozen=True)
 class State:
-    """Initial state of a motion: velocity [m/s] and height above contact [m]."""
+    """Initial state of a motion: velocity [m/s], and height [m] above the contact."""
 
     velocity: float
     height: float
 
 
-# Governed motion: all motion of another part, or a part whose cards this part copies.
+# Relation to a governed part: its motion is prescribed, or its cards are copied.
 Governed = Literal["moved", "copied"]
 
 
-# Highest frequency [Hz] at which a part excites other parts, as a function of the time constant [s]
-# between them.
+# Function that returns the highest frequency [Hz] at which a part excites other parts. Its argument
+# is the time constant [s] of a filter between the parts.
 HighestFrequency = Callable[[float], float]
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Constraints and loads of a part in equilibrium.
+class EquilibriumConditions:
+    """Constraints and loads of a part, which determine whether an equilibrium exists.
 
-    ``paths`` are pairs of pins, or a pin and ``gnd``, whose distance the part fixes, or between
-    which it conducts heat. ``ideal`` are pairs of pins whose difference the part prescribes, like
-    an ideal source. ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the
-    key of a prescribed motion with jumps of velocity. ``inert`` are pins whose velocity cannot
-    jump.
+    ``paths`` are pairs of pins, or of a pin and ``gnd``, between which the part acts as a spring or
+    a clamp, or conducts heat or a flow. ``ideal`` are pairs of pins between which the part
+    prescribes the across quantity, like an ideal source. ``loaded_pins`` are pins with a constant
+    force or flow at t = 0. ``jump_key`` is the key of a prescribed motion whose velocity jumps.
+    ``inertial_pins`` are pins with a mass, whose velocity cannot jump.
     """
 
     paths: tuple[tuple[str, str], ...] = ()
     ideal: tuple[tuple[str, str], ...] = ()
-    pushed: tuple[str, ...] = ()
-    kinked: str = ""
-    inert: tuple[str, ...] = ()
+    loaded_pins: tuple[str, ...] = ()
+    jump_key: str = ""
+    inertial_pins: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Vector:
     """Result of a part: an ngspice expression, the factor to SI, and the SI unit.
 
-    ``a+b`` is a sum. A current or force ``leaves`` and ``enters`` the part at these pins. A sound
-    pressure has the ``level_reference`` [Pa], the rms pressure at 0 dB. The part changes a
-    ``corrected`` result after the run (:meth:`kc2spice.scene.model.PartType.corrected_waves`).
+    The expression may be a sum, such as ``a+b``. A current or force leaves the part at the pins in
+    ``leaves``, and enters the part at the pins in ``enters``. For a sound pressure,
+    ``level_reference`` [Pa] is the rms pressure at 0 dB. If ``corrected`` is true, the part
+    corrects the result after the run (:meth:`kc2spice.scene.model.PartType.corrected_waves`).
     """
 
     expression: str
@@ -86,12 +87,12 @@ class Vector:
 
     @property
     def terms(self) -> list[tuple[float, str]]:
-        """Signs and vectors of the sum."""
+        """Signs and vectors of the terms of the expression."""
         return split_terms(self.expression)
 
     @property
     def voltage(self) -> str | None:
-        """The voltage in the syntax of the simulator, None for other results."""
+        """Voltage in the syntax of the simulator; None if the result is no voltage."""
         plus: list[str] = []
         minus: list[str] = []
         for sign, text in self.terms:
@@ -105,7 +106,7 @@ class Vector:
 
     @property
     def density(self) -> Vector:
-        """Spectral density of the noise."""
+        """Vector of the spectral density of the noise of this result."""
         return Vector("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 
@@ -116,7 +117,7 @@ class SceneResults:
     Attributes
     ----------
     vectors : mapping of str to Vector
-        Vectors of the netlist by the names of the results.
+        Vectors of the netlist, keyed by the names of the results.
     powers : mapping of str to tuple of PowerTerm
         Terms of each power of a part or pin that a probe reads.
     """
@@ -126,7 +127,7 @@ class SceneResults:
 
     @property
     def units(self) -> dict[str, str]:
-        """SI units of all results, including powers."""
+        """SI units of all results, including powers, keyed by name."""
         units = {name: result.unit for name, result in self.vectors.items()}
         return units | dict.fromkeys(self.powers, "W")
 
@@ -140,10 +141,10 @@ class LargestRealPart:
 
 @dataclass(frozen=True)
 class SweptSource:
-    """Source that a dc sweep of a key varies, with its volts or amperes per SI unit.
+    """Source that a dc sweep of a key varies.
 
-    ``range`` contains the first and the last value in SI, if they differ from the range of the
-    scene.
+    ``scale`` is the value of the source in volts or amperes for one SI unit of the key. ``range``
+    contains the first and the last value in SI units if they differ from the range in the scene.
     """
 
     source: str
@@ -164,13 +165,13 @@ class DcSweep(EqualByContent):
     unit : str
         SI unit of the key.
     part, key : str
-        Key of the scene that the sweep moves.
+        Part and key of the scene that the sweep varies.
     ends : tuple of two floats
         First and last value in SI units.
     values : ndarray
-        Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
-        therefore beyond the second value of ``ends``. On the way back, the source has the value
-        ``2 last - value``.
+        Values in SI units. ngspice sweeps only in one direction. A sweep forwards and back is
+        therefore one sweep beyond the last value in ``ends``, and in its second half the source has
+        the value ``2 last - value``.
     """
 
     source: str
@@ -184,12 +185,12 @@ class DcSweep(EqualByContent):
 
 @dataclass(frozen=True)
 class SampledSource:
-    """Function outside of the simulator that sets a source.
+    """Python function that sets the value of a source during a transient.
 
-    ``source`` is the name of its card in lower case. ``call(time, values)`` receives the saved node
-    voltages every ``period`` [s], first at zero. The result of the function is the value of the
-    source from ``delay`` [s] later on. A function with memory has ``reload``, which returns the
-    function in its state before the first call.
+    ``source`` is the name of the source's card in lower case. The function ``call(time, values)``
+    is called with the saved node voltages every ``period`` [s], first at t = 0. Its result becomes
+    the value of the source after the ``delay`` [s]. For a function with memory, ``reload()``
+    returns the function in its state before the first call.
     """
 
     source: str
@@ -200,13 +201,13 @@ class SampledSource:
 
     @property
     def reset_function(self) -> SampledSource:
-        """Function in its state before the first call of a run."""
+        """Copy of this record with the function in its state before the first call."""
         return self if self.reload is None else replace(self, call=self.reload())
 
 
 @dataclass(frozen=True)
 class StepLimit:
-    """Upper limit [s] of the time step, and its reason."""
+    """Upper limit [s] of the time step, and the reason for the limit."""
 
     step: float
     why: str
@@ -214,19 +215,20 @@ class StepLimit:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Time scales of a part and its numerical requirements.
+    """Time scales of a part, and numerical requirements of the part.
 
-    ``step`` is the longest time step [s] that resolves the part, ``content`` the highest frequency
-    [Hz] that it excites in others. A step that ``decides`` overrides all others. ``reltol`` and
-    ``chgtol`` are the factors, 1 or less, of the solver's tolerances that the part requires.
-    ``options`` are options of the simulator by name: value and reason. Driven waves repeat after
-    ``period`` [s]; 0 if they do not repeat.
+    ``step`` is the longest time step [s] that resolves the part, for the reason in ``description``.
+    ``highest_frequency`` [Hz] is the highest frequency that the part excites in other parts. If
+    ``overrides_others`` is true, ``step`` overrides the steps of all other parts. ``reltol`` and
+    ``chgtol`` are factors, 1 or less, by which the part reduces the tolerances of the solver.
+    ``options`` maps the names of simulator options to value and reason. ``period`` [s] is the
+    period of the waves with which the part drives others; 0 if these waves are not periodic.
     """
 
-    what: str
+    description: str
     step: float = math.inf
-    content: float = 0.0
-    decides: bool = False
+    highest_frequency: float = 0.0
+    overrides_others: bool = False
     reltol: float = 1.0
     chgtol: float = 1.0
     period: float = 0.0
@@ -237,7 +239,8 @@ class Numerics:
 class FrameShake:
     """Acceleration at a ``pin`` of a body, on the node ``net``.
 
-    ``along`` is the cosine between acceleration and displacement, None if a direction is unknown.
+    ``along`` is the cosine of the angle between acceleration and displacement; None if a direction
+    is unknown.
     """
 
     net: str
@@ -247,19 +250,19 @@ class FrameShake:
 
 @dataclass(frozen=True)
 class ShakenFrame:
-    """Accelerations of the frame of a net; empty if all are perpendicular to the motion."""
+    """Frame of reference of a net, with the accelerations that act along its motion."""
 
     body: str
     shakes: tuple[FrameShake, ...]
 
     @property
-    def acts(self) -> frozenset[tuple[str, float | None]]:
-        """Nodes of the accelerations and their shares, by which frames differ."""
+    def node_shares(self) -> frozenset[tuple[str, float | None]]:
+        """Nodes of the accelerations, with cosines; equal for identical frames."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property
-    def words(self) -> str:
-        """Accelerations in words, for ``explain``."""
+    def description(self) -> str:
+        """Description of the accelerations, for ``explain``."""
         shares = []
         for shake in self.shakes:
             pin = ".".join(shake.pin)
