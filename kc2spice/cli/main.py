@@ -316,14 +316,14 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **describe_plan(build)}
     if caller.expects_text(record):
-        from kc2spice.report.run_page import format_plan
+        from kc2spice.report.run_page import format_model_summary
 
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", PIPED_COLUMNS))
         print(f"scene hash {record['hash']}\n")
         print_table("joined", [(line,) for line in record["joins"]])
         if record["frames"]:
             print_table("displacements", [(line,) for line in record["frames"]])
-        print_tables(format_plan(record))
+        print_tables(format_model_summary(record))
         budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
         effect = "refines the settings until every metric's error is below"
         print(f"error_budget = {budget} {effect} {budget}\n")

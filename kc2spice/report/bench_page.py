@@ -1,4 +1,4 @@
-"""``bench.html``: errors and times of a scene under different numerical settings."""
+"""Page ``bench.html``: errors and CPU times of a scene with different settings."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, write_page
 
-SMALLEST_ERROR = 1e-16  # value that represents a zero error on the logarithmic axis
+SMALLEST_ERROR = 1e-16  # value in place of a zero error on the logarithmic axis
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
-    """Write the page of a benchmark from its ``record``."""
+    """Write the page of a benchmark from the ``record`` of its results."""
     sections = [
         PageSection("Error against time", figures=[plot_bench(record)]),
         *format_bench(record),
@@ -29,7 +29,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return results of ``bench`` for page and terminal, fastest settings first."""
+    """Return the results of ``bench`` for page and terminal, fastest settings first."""
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     failed = list(map(itemgetter("label", "why"), record["failed"]))
     return [
@@ -40,7 +40,7 @@ def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of a setting: errors, CPU time and the spread of the CPU time."""
+    """Return the table row of a setting: errors, CPU time and spread of the CPU time."""
     low, high = point["time_low_s"], point["time_high_s"]
     return (
         point["label"],
@@ -53,7 +53,7 @@ def _setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return rows of recommended settings, settings of the scene, and the reference."""
+    """Return table rows of recommended settings, the scene's settings and the reference."""
     current = next(filter(itemgetter("own"), record["points"]))
     best, reference = record["recommended"], record["reference"]
     rows = [
@@ -82,13 +82,13 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _list_metrics(metrics: Sequence[str]) -> str:
-    """Return the names of metrics in one line; curves of one group share a name."""
+    """Return the names of metrics in one line; curves of one group have one common name."""
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 
 
 def _format_cost(point: Mapping[str, Any]) -> str:
-    """Return error and CPU time of a setting in words."""
+    """Return a text with the error and the CPU time of a setting."""
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return (
         f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"
@@ -96,7 +96,7 @@ def _format_cost(point: Mapping[str, Any]) -> str:
 
 
 def plot_bench(record: Mapping[str, Any]) -> Figure:
-    """Plot CPU time over error for all settings."""
+    """Plot the CPU time over the error for all settings."""
     points, best = record["points"], record["recommended"]
     front = sorted(filter(itemgetter("front"), points), key=itemgetter("error"))
     curves = [
@@ -118,7 +118,7 @@ def plot_bench(record: Mapping[str, Any]) -> Figure:
 
 
 def _plot_settings(label: str, points: Sequence[Mapping[str, Any]], style: str = "o") -> Curve:
-    """Return the curve of CPU time over error through some settings."""
+    """Return the curve of the CPU time over the error for these settings."""
     columns = map(itemgetter("error", "time_s", "label"), points)
     error, time, names = zip(*columns, strict=True) if points else ((), (), ())
     return Curve(label, np.maximum(error, SMALLEST_ERROR), np.array(time), style, names)

@@ -1,8 +1,8 @@
-"""Figures as data for the browser.
+"""Conversion of figures to data for the browser.
 
-The script ``templates/plots.js`` draws them with the library uPlot. uPlot draws curves over
-ascending x. A curve that turns back therefore becomes one curve for each direction, points are
-sorted, and equal numbers of x are replaced by neighbouring floats.
+The script ``templates/plots.js`` draws the figures with the library uPlot. uPlot requires ascending
+values of x. A curve that changes its direction therefore becomes one curve for each direction.
+Points are sorted, and repeated values of x are replaced by neighbouring floats.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.core.prefix import PREFIXES, prefix_power
 
-PANEL_POINTS = 4000  # approximate number of points of a panel: two for each pixel of a wide screen
+PANEL_POINTS = 4000  # approximate number of points of a panel, two for each pixel of a wide screen
 LEGEND_CURVES = 4  # largest number of curves in one legend
 # units that get an SI prefix on an axis
 _PREFIXABLE_UNITS = {
@@ -30,9 +30,9 @@ _PREFIXABLE_UNITS = {
 
 
 def render_figure(figure: Figure) -> str:
-    """Return the element ``<figure>``: panels as JSON, and a caption.
+    """Return the HTML element ``<figure>`` with panels as JSON and a caption.
 
-    Panels without a curve are left out. A figure without other panels is empty.
+    Panels without curves and maps are omitted. The result is empty if no panel remains.
     """
     stacked = figure.columns == 1
     panels = list(chain.from_iterable(map(_split_panel, figure.panels)))
@@ -64,17 +64,17 @@ def render_figure(figure: Figure) -> str:
 
 
 def _split_panel(panel: Panel) -> Iterator[Panel]:
-    """Split a panel into panels with few ascending curves; an empty panel gives no panels."""
+    """Split a panel into panels with few, ascending curves; may return no panels."""
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))
 
 
 def _sort_curves(panel: Panel) -> Panel:
-    """Return ``panel`` with curves over ascending x, unless these are outlines."""
+    """Return ``panel`` with curves over ascending x, except for panels of outlines."""
     if panel.equal:
         return panel
     curves = chain.from_iterable(map(_split_at_turns, panel.curves))
-    # the last curve is drawn on top
+    # the last curve is drawn above the others
     return replace(panel, curves=tuple(sorted(curves, key=_is_reference)))
 
 
@@ -83,7 +83,7 @@ def _is_reference(curve: Curve) -> bool:
 
 
 def _split_at_turns(curve: Curve) -> Iterator[Curve]:
-    """Yield a curve over ascending x for each direction of ``curve``."""
+    """Yield a curve over ascending x for each monotonic section of ``curve``."""
     x = np.asarray(curve.x, dtype=float)
     if curve.style == "o":
         yield _select_points(curve, np.argsort(x, kind="stable"))
@@ -100,7 +100,7 @@ def _split_at_turns(curve: Curve) -> Iterator[Curve]:
 
 
 def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
-    """Return ``curve`` with the points of these indices in this order."""
+    """Return ``curve`` with only the points with these indices, in this order."""
     names = tuple(map(curve.names.__getitem__, indices)) if curve.names else ()
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     return replace(curve, x=x[indices], y=y[indices], names=names)
@@ -109,7 +109,7 @@ def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
 def _scale_y(panel: Panel) -> Panel:
     """Return ``panel`` with the SI prefix that suits its largest value.
 
-    A y axis with powers of ten has no prefix.
+    A y axis that shows powers of ten has no prefix.
     """
     if panel.equal:
         return panel
@@ -119,7 +119,7 @@ def _scale_y(panel: Panel) -> Panel:
     levels = list(map(itemgetter(0), panel.levels))
     label, scale = _choose_prefix(panel.y, np.append(_y_values(panel), levels))
     if scale == 1.0 or (panel.log_y and _spans_decade(panel)):
-        return panel  # the numbers on the axis are powers of ten
+        return panel  # the axis shows powers of ten
     return replace(
         panel,
         y=label,
@@ -130,20 +130,20 @@ def _scale_y(panel: Panel) -> Panel:
 
 
 def _scale_labelled(rows: Iterable[Sequence[Any]], scale: float) -> Iterator[Any]:
-    """Multiply the numbers of rows ``(number, …, label)`` by ``scale``."""
+    """Multiply the numbers in rows ``(number, …, label)`` by ``scale``."""
     for *numbers, label in rows:
         yield (*(scale * np.array(numbers)).tolist(), label)
 
 
 def _spans_decade(panel: Panel) -> bool:
-    """Return whether the largest positive y is at least ten times the smallest."""
+    """Return whether the largest positive y is at least ten times the smallest one."""
     y = _y_values(panel)
     y = y[np.isfinite(y) & (y > 0.0)]
     return bool(y.size) and bool(y.max() >= 10.0 * y.min())
 
 
 def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
-    """Return ``panels`` over one x axis with the SI prefix that suits it."""
+    """Return ``panels``, whose common x axis has a suitable SI prefix."""
     values = np.concatenate(list(map(_x_values, panels)))
     name, scale = _choose_prefix(label, values)
     if scale == 1.0 or any(panel.log_x or panel.equal for panel in panels):
@@ -152,7 +152,7 @@ def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
 
 
 def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
-    """Return the panel with its scale times a factor."""
+    """Return the panel with all values of x multiplied by a factor."""
     return replace(
         panel,
         x=label,
@@ -164,7 +164,7 @@ def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
 
 
 def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
-    """Return label and factor with the SI prefix that suits the largest value."""
+    """Return the label and the factor of an axis with a suitable SI prefix."""
     quantity, _, text = label.rpartition(" in ")
     factor, unit = _split_prefix(text)
     finite = np.asarray(values, dtype=float)
@@ -179,7 +179,7 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
 
 
 def _split_prefix(unit: str) -> tuple[float, str]:
-    """Return the factor of the prefix and the plain unit: ``mA`` is 1e-3 times ``A``."""
+    """Split a unit into the factor of its prefix and the unit without prefix, as 1e-3 and A."""
     if unit in _PREFIXABLE_UNITS:
         return 1.0, unit
     for power, prefix in PREFIXES.items():
@@ -190,7 +190,10 @@ def _split_prefix(unit: str) -> tuple[float, str]:
 
 
 def _split_curves(panel: Panel) -> Iterator[Panel]:
-    """Yield panels of at most ``LEGEND_CURVES`` curves; each contains the first reference."""
+    """Yield panels with at most ``LEGEND_CURVES`` curves each.
+
+    The first reference curve is in every panel.
+    """
     if panel.equal or len(panel.curves) <= LEGEND_CURVES:
         yield panel
         return
@@ -209,8 +212,8 @@ Range = tuple[float, float]
 def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> dict[str, Any]:
     """Encode a panel for the script.
 
-    ``span`` is the range of x of all panels above each other. The x axis of the ``last`` panel has
-    numbers.
+    ``span`` is the common range of x of all panels. Only the ``last`` panel shows numbers at its x
+    axis.
     """
     span = _round_outwards(span or _range_x(panel))
     result: dict[str, Any] = {
@@ -234,13 +237,13 @@ def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> d
 
 
 def _round_outwards(span: Range) -> Range:
-    """Return a range that contains ``span`` and its ends in single precision."""
+    """Return a range with ends in single precision that contains ``span``."""
     low, high = np.array(span, dtype=np.float32).tolist()
     return min(span[0], low), max(span[1], high)
 
 
 def _alternative_text(title: str, panel: Panel, span: Range) -> str:
-    """Describe the panel for screen readers: quantities, their ranges and the curves."""
+    """Describe a panel for screen readers: quantities, their ranges, and curves."""
     low, high = _finite_range(panel.map.z if panel.map is not None else _y_values(panel))
     quantity = panel.map.label if panel.map is not None else panel.y
     names = ", ".join(filter(None, map(attrgetter("label"), panel.curves)))
@@ -250,13 +253,13 @@ def _alternative_text(title: str, panel: Panel, span: Range) -> str:
 
 
 def _x_values(panel: Panel) -> np.ndarray:
-    """Return x of all curves and of the map, one after the other."""
+    """Return the values of x of all curves and of the map in one array."""
     maps = [panel.map.x] if panel.map is not None else []
     return np.concatenate([np.zeros(0), *map(attrgetter("x"), panel.curves), *maps])
 
 
 def _y_values(panel: Panel) -> np.ndarray:
-    """Return y of all curves, one after the other."""
+    """Return the values of y of all curves in one array."""
     return np.concatenate([np.zeros(0), *map(attrgetter("y"), panel.curves)])
 
 
@@ -268,7 +271,7 @@ def _finite_range(values: np.ndarray) -> Range:
 
 
 def _range_x(panel: Panel) -> Range:
-    """Return the range of the scale of a panel."""
+    """Return the range of the x axis of a panel."""
     if panel.span is not None:
         return panel.span
     if panel.map is not None:
@@ -277,14 +280,14 @@ def _range_x(panel: Panel) -> Range:
 
 
 def _range_y(panel: Panel) -> Range:
-    """Return the range of the values of a panel."""
+    """Return the range of the y axis of a panel."""
     if panel.map is not None:
         return _widen_range(_cell_edges(panel.map.y, panel.log_y))
     return _widen_range(_finite_range(_y_values(panel)))
 
 
 def _cell_edges(centres: np.ndarray, log: bool) -> Range:
-    """Return the outer edges of a row of cells with these centres."""
+    """Return the two outer edges of a row of cells with these centres."""
     at = np.log10(centres) if log else np.asarray(centres, dtype=float)
     half = np.diff(at)[[0, -1]] / 2 if at.size > 1 else np.full(2, 0.5)
     low, high = at[0] - half[0], at[-1] + half[1]
@@ -292,7 +295,7 @@ def _cell_edges(centres: np.ndarray, log: bool) -> Range:
 
 
 def _curve_range(curve: Curve) -> Range:
-    """Return the range of x of a curve; bars extend to both sides of their points."""
+    """Return the range of x of a curve, including the widths of bars."""
     low, high = _finite_range(curve.x)
     bars = curve.style == "bar" and len(curve.x) > 1
     half = float(curve.x[1] - curve.x[0]) / 2 if bars else 0.0
@@ -306,14 +309,14 @@ def _join_ranges(ranges: Iterable[Range]) -> Range:
 
 
 def _widen_range(ends: Range) -> Range:
-    """Return ``ends``, or a range around them if they are equal."""
+    """Return the range ``ends``, or a wider range if both ends are equal."""
     low, high = ends
     half = abs(low) / 2 or 1.0
     return (low, high) if low < high else (low - half, high + half)
 
 
 def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
-    """Encode the points with these indices for the script."""
+    """Encode the points of a curve with these indices for the script."""
     points = _select_points(curve, indices)
     x = points.x.astype("<f4")
     return {
@@ -326,7 +329,7 @@ def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[st
 
 
 def _encode_map(field: Map, low: float, high: float) -> dict[str, str]:
-    """Return centres and colours: 0 is ``low``, 65534 ``high``, 65535 none."""
+    """Encode a map as centres and colours: 0 is ``low``, 65534 ``high``, 65535 no value."""
     share = (np.asarray(field.z, dtype=float) - low) / ((high - low) or 1.0)
     z = np.where(np.isfinite(share), np.round(65534 * share), 65535).astype("<u2")
     return {
@@ -338,15 +341,15 @@ def _encode_map(field: Map, low: float, high: float) -> dict[str, str]:
 
 
 def _encode_numbers(values: np.ndarray) -> str:
-    """Return little-endian float32 numbers in base64, row by row."""
+    """Encode values as little-endian float32 numbers in base64, row by row."""
     return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
 
 
 def _separate_equal(x: np.ndarray) -> np.ndarray:
-    """Replace equal numbers among ascending float32 numbers by the next larger numbers.
+    """Replace repeated ascending float32 numbers by the next larger float32 numbers.
 
-    The bits of positive floats have the order of integers; the bits of negative floats have the
-    reverse order.
+    The bit patterns of positive floats, read as integers, have the same order as the floats; for
+    negative floats the order is reversed.
     """
     bits = x.view("<i4").astype(np.int64)
     rank = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
@@ -357,9 +360,9 @@ def _separate_equal(x: np.ndarray) -> np.ndarray:
 
 
 def _selected_points(panel: Panel) -> list[np.ndarray]:
-    """Return the indices of the points of each curve that a page contains.
+    """Return the indices of those points of each curve that a page contains.
 
-    Curves over the same x share the points.
+    For curves over the same x, the indices are equal.
     """
     curves = panel.curves
     if panel.equal or panel.map is not None:
@@ -375,10 +378,10 @@ def _selected_points(panel: Panel) -> list[np.ndarray]:
 
 
 def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
-    """Return the indices of about ``count`` points that show all peaks and corners.
+    """Return the indices of about ``count`` points that preserve all peaks and corners.
 
-    The selected points are the extremes of each group of points, and both sides of the largest
-    jumps and gaps.
+    The points are the extremes of each group of consecutive points, and the points on both sides of
+    the largest jumps and of gaps.
     """
     if y.size <= count:
         return np.arange(y.size)

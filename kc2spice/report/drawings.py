@@ -1,4 +1,4 @@
-"""Drawings of a run's page: side view of the devices, to scale, and circuit."""
+"""Drawings on the page of a run: side view of the devices to scale, and circuit."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from kc2spice.core.figure import Shape
 from kc2spice.report.html import render_page
 from kc2spice.scene.model import Scene
 
-# largest width and height of the side view, in page units
+# Largest width and height of the side view, in page units.
 SKETCH_WIDTH = 520.0
 SKETCH_HEIGHT = 300.0
 LETTER_WIDTH = 6.2
-NET_SPACING = 24.0  # spacing of two nets
-PART_HEIGHT = 74.0  # height of a part
-# Colours of the page in light and dark mode, and of a drawing without a page.
+NET_SPACING = 24.0  # distance of two nets in the circuit
+PART_HEIGHT = 74.0  # height of a part in the circuit
+# Colours as CSS variables of the page, with values for a drawing outside of the page.
 BLUE = "var(--blue, #0072B2)"
 ORANGE = "var(--orange, #B86E00)"
 GREEN = "var(--green, #009E73)"
@@ -34,7 +34,7 @@ FLOW_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def draw_devices(scene: Scene) -> str:
-    """Draw the side view of all parts that have one, to scale."""
+    """Draw the side view of all parts with an outline, to scale."""
     shapes = _place_shapes(scene)
     if not shapes:
         return ""
@@ -59,7 +59,7 @@ def draw_devices(scene: Scene) -> str:
         labels=labels,
         side=side,
         scale=scale,
-        bar=float(f"{0.25 * (right - left):.0e}"),  # rounded to one digit
+        bar=float(f"{0.25 * (right - left):.0e}"),  # one significant digit
         low=max(scale * (top - bottom), line) + 34,
         spoken="Side view: " + "; ".join(names),
         width=side + 50 + LETTER_WIDTH * max(map(len, names), default=0),
@@ -67,15 +67,15 @@ def draw_devices(scene: Scene) -> str:
 
 
 def describe_devices(scene: Scene) -> str:
-    """Return the caption of the side view with all labels, which narrow windows cut off."""
+    """Return the caption of the side view, with all labels, because labels may be cut off."""
     names = filter(None, map(attrgetter("label"), _place_shapes(scene)))
     return f"Side view, to scale. {'; '.join(dict.fromkeys(names))}."
 
 
 def _place_shapes(scene: Scene) -> list[Shape]:
-    """Return the shapes of all parts with the bodies beside each other.
+    """Return the shapes of all parts, with bodies beside each other.
 
-    Parts that are no bodies are drawn on the first body.
+    Parts that are no bodies are drawn above the first body.
     """
     result: list[Shape] = []
     end = None
@@ -90,8 +90,8 @@ def _place_shapes(scene: Scene) -> list[Shape]:
 
 
 def draw_circuit(scene: Scene) -> str:
-    """Draw parts as boxes in a row and nets as lines above them, with their names."""
-    ends: dict[str, list[tuple[float, str, str]]] = {}  # of each net: place, pin and colour
+    """Draw the circuit: parts as boxes in a row, and nets as horizontal lines above."""
+    ends: dict[str, list[tuple[float, str, str]]] = {}  # by net: place, pin, colour
     boxes, x = [], 10.0
     for part in scene.parts.values():
         pins = scene.pins(part.name)
@@ -129,7 +129,7 @@ def draw_circuit(scene: Scene) -> str:
 
 
 def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
-    """Return the level of each net; nets of one level do not overlap."""
+    """Return the vertical level of each net, so that nets of one level do not overlap."""
     levels: list[list[tuple[float, float]]] = []
     result = {}
     for net, (first, last) in sorted(spans.items(), key=lambda item: item[1][1] - item[1][0]):
@@ -145,6 +145,6 @@ def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
 
 
 def _overlaps(span: tuple[float, float], others: Iterable[tuple[float, float]]) -> bool:
-    """Return whether two ranges overlap."""
+    """Return whether a range overlaps one of the other ranges."""
     low, high = span
     return any(low <= end and start <= high for start, end in others)

@@ -1,4 +1,4 @@
-"""Figures drawn by matplotlib, as PNG files and in notebooks."""
+"""Drawing of figures by matplotlib, for PNG files and notebooks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
 
-# Okabe and Ito, "Color Universal Design" (2008): distinct for every colour vision.
+# Colours of Okabe and Ito, "Color Universal Design" (2008), for all kinds of colour vision.
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -22,7 +22,7 @@ BLACK = "#222222"
 GREY = "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
-LABELS_ABOVE = 4  # largest number of labels above the axes; a longer legend is beside them
+LABELS_ABOVE = 4  # a legend with more labels is beside the axes
 _LEGEND_ABOVE_AXES: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
 _LEGEND_BESIDE_AXES: Any = {
     "loc": "upper left",
@@ -51,25 +51,25 @@ _PLOT_STYLE: Any = {
 }
 
 
-def draw_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
-    """Draw every figure as ``NAME.png`` and return the names of the files."""
+def write_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
+    """Draw every figure as ``NAME.png``; return the names of the files."""
     names = []
     for figure in figures:
         page = make_notebook_figure(figure)
         names.append(f"{figure.name}.png")
-        # savefig would draw everything once more for the layout.
+        # With a layout engine, savefig would draw everything twice.
         page.get_layout_engine().execute(page)
         page.set_layout_engine("none")
         page.savefig(
             directory / names[-1],
             metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # the default layout takes longer than the drawing
+            pil_kwargs={"compress_level": 2},  # a layout engine takes longer than the drawing
         )
     return names
 
 
 def make_notebook_figure(figure: Figure) -> Any:
-    """Return ``figure`` as a figure of matplotlib, which notebooks display."""
+    """Return ``figure`` as a matplotlib figure, which notebooks display."""
     import matplotlib
     from matplotlib.figure import Figure as MatplotlibFigure
 
@@ -122,7 +122,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
         inches = axes.get_window_extent().width / axes.figure.dpi
-        # width of the legend in letters, with its handles
+        # width of the legend in letters, including line samples
         long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches
         axes.legend(
             **(_LEGEND_BESIDE_AXES if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE_AXES)
@@ -130,7 +130,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """Draw the ``k``-th curve of a panel; all lines but the first have marks."""
+    """Draw the ``k``-th curve of a panel; all lines except the first one have markers."""
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
     marks = {"marker": _MARKERS[k % len(_MARKERS)], "ms": 4}
@@ -149,15 +149,16 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
 
 
 def _set_log_scale(axes: Any, axis: Any) -> None:
-    """Make an axis logarithmic, with plain numbers at 1, 2, 5, … or at decades.
+    """Make an axis logarithmic, with ticks at 1, 2, 5, … or at decades.
 
-    Minor ticks and powers of ten would take longer to draw than all other elements of a figure.
+    The labels are plain numbers. The drawing of minor ticks and of labels as powers of ten would
+    take longer than the drawing of all other elements of a figure.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
-    decades = 2 if axis.axis_name == "x" else 3  # beyond this, adjacent labels would overlap
+    decades = 2 if axis.axis_name == "x" else 3  # in a longer range, adjacent labels would overlap
     narrow = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
     axis.set_minor_locator(NullLocator())

@@ -1,4 +1,4 @@
-"""``report.html`` of a fit: keys, errors, and impedance before and after."""
+"""Page ``report.html`` of a fit: keys, errors, and impedances before and after."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Admittances (n,) [S] at frequencies ``f`` (n,) [Hz], measured, before and after a fit."""
+    """Admittances (n,) [S] over ``f`` (n,) [Hz]: measured, and before and after a fit."""
 
     name: str
     f: np.ndarray
@@ -25,7 +25,7 @@ class PlottedCurve:
 
 
 def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCurve]) -> None:
-    """Write the page of a fit from its ``record`` and its admittances."""
+    """Write the page of a fit from the ``record`` of its results and its ``curves``."""
     sections = format_fit(record)
     for curve in curves:
         figures = plot_fit(curve.f, curve.measured, curve.before, curve.after)
@@ -62,21 +62,21 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of a curve: its file, keys, use and errors."""
+    """Return the table row of a measured curve: file, keys, use and errors."""
     keys = ", ".join(f"{key} = {value}" for key, value in curve["set"].items())
     use = "predicted" if curve["predict"] else "fitted"
     return curve["data"], keys, use, f"{curve['rms']:.2%}", f"{curve['largest']:.2%}"
 
 
 def _value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of a fitted key: value, standard error and range."""
+    """Return the table row of a fitted key: value, standard error and range."""
     limits = f"{item['low']:g} to {item['high']:g}"
     bound = "met" if item["at_bound"] else ""
     return key, f"{item['value']:.6g}", f"{item['sigma']:.2g}", limits, bound
 
 
 def _number_row(numbers: Mapping[str, float | None]) -> tuple[str, ...]:
-    """Return numbers as a row; a missing number is an empty cell."""
+    """Return a table row of numbers, with empty cells for missing numbers."""
     return tuple("" if value is None else f"{value:.6g}" for value in numbers.values())
 
 
@@ -85,7 +85,7 @@ def _correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]
 
 
 def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return rows of deviation, statistics, and keys that the data do not determine."""
+    """Return table rows of deviation, statistics, and keys that the data do not determine."""
     error = record["error"]
     facts = [
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
@@ -105,18 +105,18 @@ def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def plot_fit(
     f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> tuple[Figure, ...]:
-    """Plot magnitude and phase of the three impedances, and the deviation of the fit."""
+    """Plot magnitude and phase of the three impedances, and the deviation after the fit."""
     x, factor = scale_axis("frequency", f)
     f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
 
-    def curves(of: Callable[[np.ndarray], np.ndarray]) -> tuple[Curve, ...]:
-        return tuple(Curve(name, f, of(1 / y), style) for name, (y, style) in three.items())
+    def plot_curves(function: Callable[[np.ndarray], np.ndarray]) -> tuple[Curve, ...]:
+        return tuple(Curve(name, f, function(1 / y), style) for name, (y, style) in three.items())
 
     left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))
     panels = (
-        Panel(x, "|Z| in Ω", curves(np.abs), log_y=True),
-        Panel(x, "phase in °", curves(lambda z: np.angle(z, deg=True))),
+        Panel(x, "|Z| in Ω", plot_curves(np.abs), log_y=True),
+        Panel(x, "phase in °", plot_curves(lambda z: np.angle(z, deg=True))),
         Panel(x, "difference of |Z| in %", (left,)),
     )
     caption = "Measured impedance, that of the scene's values and that of the fitted ones."

@@ -1,7 +1,8 @@
-"""One self-contained HTML page: sections with a table, a note and figures each.
+"""Self-contained HTML pages, whose sections contain tables, notes and figures.
 
-The browser draws the figures: a page contains their curves as data, the library uPlot, and the
-script ``plots.js``. Numbers have SI prefixes, and keys of ``result.json`` become words.
+The browser draws the figures. For this purpose, a page contains the curves as data, the library
+uPlot, and the script ``plots.js``. Numbers have SI prefixes. Keys of ``result.json`` are converted
+to words.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.spelling import template_renderer
 from kc2spice.report.charts import render_figure
 
-# label words that differ from the words of a key
+# Words of labels that differ from the corresponding words of keys.
 _LABEL_WORDS = {
     "bvd": "equivalent circuit",
     "quality": "Q factor",
@@ -30,33 +31,33 @@ _LABEL_WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Labels of keys whose words do not state the electrical condition of a resonance.
+# Labels of keys of resonances, which also state the electrical condition.
 _LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
 }
-# Suffixes of keys of result.json by the unit in their records.
+# Suffixes of keys of result.json, keyed by unit.
 _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
-# Quantities of the units of keys whose labels would be identical.
+# Names of quantities by unit, which distinguish keys with identical labels.
 _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
 }  # fmt: skip
-MAX_ROW_VALUES = 8  # values of a list in one row
+MAX_ROW_VALUES = 8  # largest number of values of a list in one row
 
 
 def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return rows of stages and their wall times."""
+    """Return table rows of stages and their wall times."""
     return [(stage, format_quantity(float(time), "s", 3)) for stage, time in seconds.items()]
 
 
 def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested mappings with their joined names."""
+    """Yield the values of nested mappings, with names joined by ``joint``."""
     if isinstance(value, Mapping):
         for name, item in value.items():
             yield from flatten_mapping(item, joint, f"{path}{joint}{name}" if path else str(name))
@@ -65,14 +66,14 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return a key of ``result.json`` as words, without the suffix of its unit."""
+    """Return the label of a key of ``result.json``, without the suffix of its unit."""
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
 
 
 def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
-    """Return labels of keys; labels that would be equal also contain the quantity of the unit.
+    """Return labels of keys, in which the quantity distinguishes equal labels.
 
     Examples
     --------
@@ -89,7 +90,7 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
 
 
 def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return a key of ``result.json`` and its value with ``unit`` as words."""
+    """Return the texts of a key of ``result.json`` and of its value with ``unit``."""
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
@@ -97,7 +98,7 @@ def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
 
 
 def format_value(value: Any, unit: str = "") -> str:
-    """Return a number with its unit, yes or no, or ``not reached``."""
+    """Return the text of a value: a number with unit, yes or no, or ``not reached``."""
     if value is None:
         return "not reached"
     if isinstance(value, bool):
@@ -111,7 +112,7 @@ def format_value(value: Any, unit: str = "") -> str:
 class PageSection:
     """Section of a page: heading, drawing, table, links, note and figures.
 
-    Each part of a section is optional. The ``drawing`` is HTML that needs no escaping.
+    Each part of a section is optional. ``drawing`` is HTML markup that is not escaped.
     """
 
     title: str
@@ -124,7 +125,7 @@ class PageSection:
 
     @property
     def has_content(self) -> bool:
-        """Whether the section contains more than a note."""
+        """Whether the section contains more than its note."""
         return bool(self.rows or self.figures or self.drawing or self.links)
 
 
@@ -138,8 +139,8 @@ def write_page(
 ) -> Path:
     """Write a self-contained page.
 
-    Sections that contain only a note are left out.
-    ``lead`` is the text below the title. The footer states version, date, command and ``origin``.
+    Sections that contain only a note are omitted. ``lead`` is the text below the title. The footer
+    states version, date, command and ``origin``.
     """
     text = render_page(
         "report.html.j2",
@@ -154,13 +155,13 @@ def write_page(
 
 
 def _command_line() -> list[str]:
-    """Return the command that writes the page; empty if kc2spice runs inside another program."""
+    """Return the command line that writes the page; empty within another program."""
     name, *words = sys.argv or [""]
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
 def render_page(template: str, **values: object) -> str:
-    """Render a page or a drawing; markup in ``values`` is escaped."""
+    """Render the template of a page or a drawing; markup in ``values`` is escaped."""
     pages = template_renderer(autoescape=True)
     pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

@@ -1,7 +1,8 @@
 """Figure of the results that the probes of a scene read.
 
-The input is the probes, the waves of a run and their units. The output is one figure with a panel
-for each unit. A sound pressure over frequency is drawn as its level, over time as a wave.
+The input is the probes, the waves of a run and the units of the waves. The output is one figure
+with a panel for each unit. A sound pressure over frequency is drawn as a level, and a sound
+pressure over time as a wave.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import label_key
 from kc2spice.scene.settings import Probe
 
-WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
+WIDE_RANGE = 20.0  # ratio of the range's ends; above it, the axis is logarithmic
 PROBES_CAPTION = "Results that the probes of the scene select, over the whole run."
 
 
@@ -27,9 +28,9 @@ def plot_probes(
     units: Mapping[str, str],
     levels: Mapping[str, SoundLevel] | None = None,
 ) -> Iterator[Figure]:
-    """Plot all probed results, one panel for each unit; responses by their magnitude.
+    """Plot all probed results, with one panel for each unit, and magnitudes of responses.
 
-    ``levels`` are the sound pressure levels by the names of the probes that read them.
+    ``levels`` are the sound pressure levels, keyed by the names of the probes that read them.
     """
     scale = next(iter(waves.data))
     if not probes or waves[scale].size < 2:
@@ -53,12 +54,12 @@ def plot_probes(
 
 
 def _is_response(probe: Probe, waves: Waveforms) -> bool:
-    """Return whether a probe reads a response to small signals."""
+    """Return whether a probe reads a small-signal response."""
     return probe.of in waves and np.iscomplexobj(waves[probe.of])
 
 
 def _describe_level(name: str, level: SoundLevel) -> str:
-    """Return the label of a probe and its level."""
+    """Return a label with the name of a probe and its sound pressure level."""
     label = label_key(name, LEVEL_UNIT)
     if level.decibels is None:
         return label
@@ -70,7 +71,8 @@ def _plot_unit(
 ) -> Panel:
     """Plot the probed results of one unit.
 
-    Marks show the places that probes read, levels the values whose crossing they return.
+    Vertical marks show the positions that probes read. Horizontal lines show the levels of probes
+    that search a crossing.
     """
     scale = next(iter(waves.data))
     x = waves[scale].real
@@ -102,6 +104,6 @@ def _plot_unit(
 
 
 def _convert_to_level(amplitudes: np.ndarray, reference: float) -> np.ndarray:
-    """Return the levels [dB] of amplitudes [Pa]; silence has none and leaves a gap."""
+    """Return the levels [dB] of amplitudes [Pa]; silence becomes a gap (NaN)."""
     level = compute_level(np.sqrt(0.5) * amplitudes, reference)
     return np.where(amplitudes > 0, level, np.nan)

@@ -1,4 +1,4 @@
-"""``report.html`` of a run: drawings, figures, metrics, checks, wall times."""
+"""Page ``report.html`` of a run: drawings, figures, metrics, checks and wall times."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from kc2spice.report.html import (
 )
 from kc2spice.scene.model import Scene, scene_hash
 
-MIN_METRICS = 4  # metrics of a summary beside rows of assumptions
-OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
+MIN_METRICS = 4  # smallest number of metrics in a summary with rows of assumptions
+OPERATING_RESULTS = 6  # largest number of results at an operating point in a terminal
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
     "Colours of pins: blue electrical, orange mechanical, green signals, grey others. The names of "
@@ -56,7 +56,7 @@ def write_run(
     path: Path, result: Mapping[str, Any], scene: Scene, figures: Sequence[Figure]
 ) -> Path:
     """Write the page of ``kc2spice run`` from the content of ``result.json``."""
-    # the sort preserves the order of equal rows
+    # the sort is stable: rows with equal keys keep their order
     figures = sorted(figures, key=attrgetter("main"), reverse=True)
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
@@ -68,7 +68,7 @@ def write_run(
         *format_results(result),
         *map(_format_energy, energies, energies.values()),
         *map(_format_modes, modes, modes.values()),
-        *format_plan(result["plan"], result.get("convergence", {})),
+        *format_model_summary(result["plan"], result.get("convergence", {})),
         PageSection("Simulator", _simulator_rows(result, scene)),
         PageSection("Files", links=result.get("files", ())),
     ]
@@ -77,7 +77,7 @@ def write_run(
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
-    """Return the numbers of ``result.json``, for page and terminal."""
+    """Return the tables of numbers in ``result.json``, for page and terminal."""
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
     checks = list(map(_check_row, result.get("checks", ())))
@@ -105,14 +105,14 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of a check: verdict, name, value, limit and action."""
+    """Return the table row of a check: verdict, name, value, limit and action."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
     mark = "ok" if check["passed"] else "VIOLATED"
     return mark, _label_check(check), value, limit, check["action"]
 
 
 def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of an attempt of the simulator: settings, outcome and wall time."""
+    """Return the table row of a simulator attempt: settings, outcome and wall time."""
     return (
         attempt["setting"],
         attempt["settings"],
@@ -123,7 +123,7 @@ def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return the properties of a reduction within its band and above the band."""
+    """Return table rows of the properties of a reduction within and above its band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):
@@ -132,48 +132,48 @@ def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """Return rows of at most ``most`` nonzero values at the operating point."""
+    """Return table rows of at most ``most`` nonzero values at the operating point."""
     units, numbers = {}, {}
     for name, item in result.get("operating_point", {}).items():
         units[name], numbers[name] = item["unit"], float(item["value"])
     scales = _largest_by_unit(numbers, units)
     rows = []
     for name, number in numbers.items():
-        value = _chop_rounding(number, scales, units[name])
+        value = _zero_if_rounding(number, scales, units[name])
         if value:
             rows.append((name, format_quantity(value, units[name])))
-    return _shorten(rows, most, "results")
+    return _limit_rows(rows, most, "results")
 
 
-def _shorten(rows: Rows, most: int | None, kind: str) -> Rows:
-    """Return at most ``most`` rows, and a row that counts the others."""
+def _limit_rows(rows: Rows, most: int | None, kind: str) -> Rows:
+    """Return at most ``most`` rows, and a row with the number of omitted rows."""
     if most is None or len(rows) <= most:
         return rows
     return [*rows[:most], (f"further {kind}", f"{len(rows) - most}, in the report")]
 
 
 def _label_check(check: Mapping[str, Any]) -> str:
-    """Return the name of a check as words."""
+    """Return the name of a check in words."""
     name: str = check["name"]
     return name if " " in name else name.replace("_", " ")
 
 
 def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSection:
-    """Return verdict, single numbers and error estimates of a run.
+    """Return the summary of a run: verdict, scalar metrics and error estimates.
 
-    ``most`` is the largest number of metrics.
+    ``most`` is the largest number of metrics in the summary.
     """
     checks = result.get("checks", ())
     left_out = result.get("plan", {}).get("left_out", ())
     assumed = [row for row in left_out if row["summarised"]]
-    # rows of assumptions replace those of metrics, except the first four
+    # rows of assumptions replace rows of metrics, except the first MIN_METRICS
     fewer = None if most is None else max(most - len(assumed), min(most, MIN_METRICS))
     violated = [check for check in checks if not check["passed"]]
     point = format_operating_point(result, OPERATING_RESULTS)
     rows = [
         ("checks", format_verdict(checks)),
         *map(_violation_row, violated),
-        *_shorten(_metric_rows(result), fewer, "metrics"),
+        *_limit_rows(_metric_rows(result), fewer, "metrics"),
         *map(itemgetter("effect", "error"), assumed),
         *((f"at the operating point: {name}", text) for name, text in point),
         *_model_rows(result),
@@ -182,19 +182,19 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 
 
 def _violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the row of a violated check as one sentence."""
+    """Return the table row of a violated check, with one sentence."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
-    if " " in check["unit"]:  # avoids a repeated phrase in the sentence
+    if " " in check["unit"]:  # so that no phrase is repeated in the sentence
         limit = limit.removesuffix(f" {check['unit']}")
     return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
 
 
 def _metric_rows(result: Mapping[str, Any]) -> Rows:
-    """Return rows of the metrics that are single numbers, with their error estimates."""
+    """Return table rows of the scalar metrics, with error estimates."""
     units = result.get("metric_units", {})
     errors = result.get("convergence", {}).get("errors", {})
     leaves = flatten_mapping(result.get("metrics", {}))
-    metrics = {name: value for name, value in leaves if _is_single(value)}
+    metrics = {name: value for name, value in leaves if _is_scalar(value)}
     scales = _largest_by_unit(metrics, units)
     rows = {}
     for name, value in metrics.items():
@@ -206,20 +206,20 @@ def _metric_rows(result: Mapping[str, Any]) -> Rows:
 
 
 def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
-    """Return ``17 checks passed``, or how many of them passed."""
+    """Return ``17 checks passed``, or a text with the number of passed checks."""
     passed = sum(map(bool, map(itemgetter("passed"), checks)))
     if passed == len(checks):
         return f"{passed} check{'s' * (passed != 1)} passed"
     return f"{passed} of {len(checks)} checks passed"
 
 
-def _is_single(value: Any) -> bool:
-    """Return whether a metric is a single number."""
+def _is_scalar(value: Any) -> bool:
+    """Return whether a metric is a scalar."""
     return not isinstance(value, (list, tuple, Mapping))
 
 
 def _model_rows(result: Mapping[str, Any]) -> Rows:
-    """Return rows of each reduced model: states, band and error estimate."""
+    """Return table rows of each reduced model: states, band and error estimate."""
     models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
     rows = []
     for name, rom in models.items():
@@ -233,7 +233,7 @@ def _model_rows(result: Mapping[str, Any]) -> Rows:
 
 
 def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
-    """Return the largest magnitude among the numbers of each unit."""
+    """Return the largest magnitude among the numbers with each unit."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, float) and math.isfinite(value):
@@ -242,14 +242,14 @@ def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dic
     return result
 
 
-def _chop_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """Return 0 for a number that is a rounding error relative to others of its unit."""
+def _zero_if_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
+    """Return a number, or 0 if it is a rounding error relative to ``scales`` of its unit."""
     noise = isinstance(value, float) and abs(value) < ROUNDING_NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
 
 
 def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Return rows of the error of the compliance above the band of a reduction."""
+    """Return table rows of the compliance errors above the band of a reduction."""
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
     rows = []
@@ -259,12 +259,12 @@ def format_above_band(certificate: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def format_plan(
+def format_model_summary(
     planned: Mapping[str, Any], converged: Mapping[str, Any] | None = None
 ) -> list[PageSection]:
-    """Return sections of models, numerical settings and neglected effects.
+    """Return page sections of models, numerical settings and neglected effects.
 
-    Each setting is listed with its effect on the metrics, if a refined run computed it.
+    If a refined run has computed the effect of a setting on the metrics, the effect is listed.
     """
     result = converged or {}
     shares = result.get("shares", {})
@@ -283,18 +283,19 @@ def format_plan(
 
 
 def _format_relative_error(error: float | None) -> str:
-    """Return a relative error as text, empty if it is unknown."""
+    """Return a relative error as text; empty if the error is unknown."""
     return "not estimated" if error is None else f"{error:.2g}"
 
 
 def _summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Return table rows for results that are one number, a range or a short text.
+    """Return table rows of results that are a number, a range or a short text.
 
-    ``units`` are keyed by dotted name. Curves are shown in figures.
+    ``units`` are keyed by dotted name. Results that are curves are omitted, because figures show
+    them.
     """
     values = {}
     for name, value in flatten_mapping(facts):
-        if _is_single(value) or _is_short(value):
+        if _is_scalar(value) or _is_short(value):
             values[name] = value
     scales = _largest_by_unit(values, units)
     rows = {name: _summary_row(name, value, units, scales) for name, value in values.items()}
@@ -302,7 +303,7 @@ def _summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
 
 
 def _label_rows(rows: Mapping[str, tuple[str, str]], units: Mapping[str, str]) -> Rows:
-    """Return rows of keys; a repeated label also contains the quantity."""
+    """Return table rows of keys, in which the quantity distinguishes equal labels."""
     labels = distinguish_labels({name: label for name, (label, _) in rows.items()}, units)
     return [(labels[name], text) for name, (_, text) in rows.items()]
 
@@ -316,9 +317,9 @@ def _is_short(values: Sequence[Any]) -> bool:
 def _summary_row(
     name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
 ) -> tuple[str, str]:
-    """Return label and text of a number; ``scales`` are largest magnitudes."""
+    """Return the label and the text of a result; ``scales`` are magnitudes by unit."""
     unit = units.get(name, "")
-    return format_metric(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
+    return format_metric(name.replace(".", "_"), _zero_if_rounding(value, scales, unit), unit)
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
@@ -327,7 +328,7 @@ def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
 
 
 def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
-    """Return the table of the modes of a body, without ports that no mode moves."""
+    """Return the table of the modes of a body, without ports that no mode drives."""
     units, modes = table["units"], table["modes"]
     coupled = []
     head = ["frequency", "Q"]

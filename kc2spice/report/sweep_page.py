@@ -1,7 +1,8 @@
-"""``sweep.html``: metrics of all points of a sweep.
+"""Page ``sweep.html``: metrics of all points of a sweep.
 
-The figures depend on the swept keys: curves over one key, maps over two crossed keys. For random or
-more keys they are a histogram of each metric, and its values over each key.
+The figures depend on the swept keys. For one key, the figures are curves, and for two crossed keys
+they are maps. For random keys, or for more than two keys, the figures are a histogram of each
+metric, and the values of the metric over each key.
 """
 
 from __future__ import annotations
@@ -20,31 +21,32 @@ from kc2spice.report.html import PageSection, format_value, label_key, write_pag
 from kc2spice.scene.model import Scene
 
 CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
-NUMBER_TYPES = (float, int, bool)  # types of a column of numbers
-# relative difference of metrics that are equal up to rounding of the simulator
+NUMBER_TYPES = (float, int, bool)  # types of the values in a column of numbers
+# Relative difference of metrics that are equal except for rounding errors of the simulator.
 EQUALITY_TOLERANCE = 1e-9
-MAX_LISTED_VALUES = 10  # values of a text key that the plan lists
+MAX_LISTED_VALUES = 10  # largest number of listed values of a text key
 
 Table = Mapping[str, Sequence[Any]]
-Axis = tuple[str, np.ndarray]  # label with unit, and the numbers
+Axis = tuple[str, np.ndarray]  # label with unit, and values
 
 
 def _belongs_to(column: Sequence[Any], *kinds: type) -> bool:
-    """Return whether all values of a column except None have one of these types."""
+    """Return whether all values of a column, except None, have one of these types."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
 
 
 def _read_numbers(column: Sequence[Any]) -> np.ndarray:
-    """Return a column as numbers; None becomes NaN."""
+    """Return a column as an array of numbers; None becomes NaN."""
     return np.array(column, dtype=float)
 
 
 def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return the share of true points of each flag, with its confidence interval.
+    """Return the yield of each flag: the share of true points and a confidence interval.
 
-    A failed point counts as false. The interval is exact (Clopper and Pearson, 1934): it covers at
-    least ``confidence``. The yield describes the population only if the keys were random.
+    A failed point counts as false. The interval is exact (Clopper and Pearson, 1934): it contains
+    the true share with at least the probability :data:`CONFIDENCE_LEVEL`. The yield is valid for
+    the population of devices only if the keys were random.
     """
     result = {}
     for name, column in table.items():
@@ -66,11 +68,11 @@ def write_sweep(
     plan: str,
     shares: Mapping[str, Mapping[str, float]],
 ) -> None:
-    """Write the page of a finished ``table`` to ``path``.
+    """Write the page of a sweep from its ``table`` to ``path``.
 
-    ``units`` contains the swept keys in their order, ``metric_units`` the metrics with a unit.
-    ``random`` are the random keys, ``plan`` states the number of points, and ``shares`` is the
-    result of :func:`compute_yields`.
+    ``units`` contains the units of the swept keys, and ``metric_units`` the units of metrics.
+    ``random`` are the random keys, ``plan`` is a text with the number of points, and ``shares`` is
+    the result of :func:`compute_yields`.
     """
     metrics = []
     spread = []
@@ -94,7 +96,7 @@ def write_sweep(
 
 
 def _count_failures(status: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the most frequent reasons of failed points with their numbers."""
+    """Return table rows of the most frequent reasons of failures, with their numbers."""
     counts = Counter(status)
     del counts["ok"]
     return [(str(count), reason) for reason, count in counts.most_common(20)]
@@ -107,7 +109,7 @@ def _yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
 
 
 def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the row of a swept key: number of values, and their range or list."""
+    """Return the table row of a swept key: number of values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
     if _belongs_to(column, *NUMBER_TYPES):
@@ -116,7 +118,7 @@ def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple
 
 
 def _quantile_row(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
-    """Return the row of a metric: extremes, median, and quantiles of 5 and 95 %."""
+    """Return the table row of a metric: extremes, median, and 5 % and 95 % quantiles."""
     values = _read_numbers(column)
     values = values[np.isfinite(values)]
     quantiles = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0)).tolist()
@@ -131,7 +133,7 @@ def plot_sweep(
     metric_units: Mapping[str, str],
     random: Sequence[str],
 ) -> Iterator[Figure]:
-    """Plot the ``metrics`` of a table over its swept keys, with the units of both."""
+    """Plot the ``metrics`` of a table over the swept keys."""
     x: dict[str, Axis] = {}
     words: dict[str, Sequence[Any]] = {}
     crossed = 1
@@ -170,7 +172,7 @@ def plot_sweep(
 
 
 def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
-    """Plot one curve for each combination of the swept words."""
+    """Return one curve for each combination of the swept words."""
     labels = np.array(words) if words else np.full(x[1].size, "")
     curves = []
     for label in np.unique(labels):
@@ -182,13 +184,13 @@ def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
 
 
 def _is_logarithmic(x: np.ndarray) -> bool:
-    """Return whether the logarithms of ascending values are equally spaced."""
+    """Return whether ascending values are equally spaced on a logarithmic scale."""
     even = x.size > 2 and x[0] > 0 and np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0])
     return bool(even)
 
 
 def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
-    """Plot a metric in colours over two crossed keys."""
+    """Return the colour map of a metric over two crossed keys."""
     columns, i = np.unique(x[1], return_inverse=True)
     rows, j = np.unique(y[1], return_inverse=True)
     field = np.full((rows.size, columns.size), np.nan)
@@ -198,7 +200,7 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
 
 
 def _plot_histogram(axis: Axis) -> Panel:
-    """Plot the distribution of a metric with its median and two quantiles."""
+    """Return the histogram of a metric, with its median and two quantiles."""
     values = axis[1][np.isfinite(axis[1])]
     spread = np.ptp(values) > EQUALITY_TOLERANCE * np.abs(values).max()
     counts, edges = np.histogram(values, bins="auto" if spread else 1)

@@ -1,4 +1,4 @@
-"""``verify.html``: checks, errors, wall times and metrics of every verified scene."""
+"""Page ``verify.html``: checks, errors, wall times and metrics of verified scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kc2spice.scene.checks import SOLUTION_PAIRS, Check
 
 VERDICT_WORDS = {True: "ok", False: "MISSED"}
 MAX_PANELS = 4  # largest number of panels in one figure
-SMALLEST_DIFFERENCE = 1e-17  # value that represents a zero difference on a logarithmic axis
+SMALLEST_DIFFERENCE = 1e-17  # value in place of a zero difference on the logarithmic axis
 
 Solutions = Mapping[str, Waveforms]
 
@@ -27,11 +27,11 @@ Solutions = Mapping[str, Waveforms]
 class Findings:
     """Results of the verification of a scene.
 
-    ``errors`` contains the largest relative error of each of
-    :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the time of each stage,
-    ``left_out`` the names of parts without a law. ``answers`` contains the metrics of each
-    solution: ``ngspice``, ``rom`` (laws) and ``fom`` (full models, for the covered part of the
-    run).
+    ``errors`` contains the largest relative error of each pair in
+    :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the wall time of each stage,
+    and ``left_out`` the names of parts without equations. ``answers`` contains the metrics of each
+    solution: ``ngspice``, ``rom`` (equations of the parts) and ``fom`` (full models, for the
+    compared part of the run).
     """
 
     checks: list[Check] = field(default_factory=list)
@@ -72,13 +72,13 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
 
 
 def _summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
-    """Return the row of a scene: its verdict and the errors between solutions."""
+    """Return the table row of a scene: verdict, and errors between the solutions."""
     errors = map(format_ratio, map(findings.errors.get, SOLUTION_PAIRS))
     return scene, VERDICT_WORDS[findings.passed], *errors
 
 
 def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Return error limits and times of one scene, for page and terminal."""
+    """Return the checks, errors and times of one scene, for page and terminal."""
     checks = list(map(_check_row, record["checks"]))
     times = format_times(record["wall_s"])
     return [
@@ -88,7 +88,7 @@ def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSecti
 
 
 def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the row of a check; a dash marks a value or limit that is not a number."""
+    """Return the table row of a check, with a dash for a value that is not a number."""
     unit = "" if check["unit"] == "1" else check["unit"]
     value, limit = _drop_nan(check["value"]), _drop_nan(check["limit"])
     if value is None or limit is None:
@@ -104,7 +104,7 @@ def _drop_nan(value: float | None) -> float | None:
 
 
 def _format_details(scene: str, findings: Findings) -> list[PageSection]:
-    """Return errors of each output, metrics, notes and figures of one scene."""
+    """Return the page section of one scene: errors of outputs, metrics, notes, figures."""
     head = ("solutions", "output", "largest error", "rms error")
     errors, facts = [], []
     for error in findings.outputs:
@@ -121,15 +121,16 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
     ]
 
 
-# --- figures: solutions over each other, and their differences ------------------------------------
+# --- figures of the solutions and of their differences --------------------------------------------
 
 
 def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """Plot the waves of all solutions, and their differences from the first solution.
+    """Plot the waves of all solutions, and the differences from the first solution.
 
-    One panel shows the largest wave of each unit, one further figure the differences of all.
+    A panel shows the largest wave of each unit. A second figure shows the differences of these
+    waves.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
@@ -141,7 +142,7 @@ def plot_comparison(
     panels = []
     for wave in selected:
         curves = tuple(
-            Curve(n, factor * w[scale].real, _real_values(w[wave]), "-" if k else "reference")
+            Curve(n, factor * w[scale].real, _real_or_magnitude(w[wave]), "-" if k else "reference")
             for k, (n, w) in enumerate(solutions.items())
         )
         panels.append(Panel(label, format_axis_label(wave, units.get(wave, "")), curves))
@@ -179,13 +180,13 @@ def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
 
 
 def _is_driving_point(response: str) -> bool:
-    """Return whether a response ``LOAD>PORT`` belongs to the loaded port."""
+    """Return whether in a response ``LOAD>PORT`` both ports are the same."""
     load, _, port = response.partition(">")
     return load == port
 
 
 def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
-    """Return the largest wave of each unit, in the order of the units."""
+    """Return the name of the largest wave of each unit, in the order of the units."""
     best: dict[str, str] = {}
     for name in names:
         unit = units.get(name, "")
@@ -195,8 +196,8 @@ def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, s
     return list(best.values())[:MAX_PANELS]
 
 
-def _real_values(values: np.ndarray) -> np.ndarray:
-    """Return real values, or the magnitudes of complex ones."""
+def _real_or_magnitude(values: np.ndarray) -> np.ndarray:
+    """Return real values unchanged, and the magnitudes of complex values."""
     return np.abs(values) if np.iscomplexobj(values) else values
 
 
