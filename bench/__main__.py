@@ -28,7 +28,7 @@ from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import write_record
-from kc2spice.report.figures import draw_pngs
+from kc2spice.report.figures import write_pngs
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.sweep.workers import available_cores
 
@@ -73,7 +73,7 @@ def bench(out, parts, *, quick, repeats):
             record["seconds"][part] = time.perf_counter() - begin
         record = write_record(record, directory, "bench.json")
         (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
-        draw_pngs(directory, [*bench_figures(record)])
+        write_pngs(directory, [*bench_figures(record)])
 
 
 def _points(plane):

@@ -21,7 +21,7 @@ from bench.fullmodel import chip
 from kc2spice.bodies.stack import make_stack
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.report.figures import draw_pngs
+from kc2spice.report.figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.state_space import state_space
@@ -228,7 +228,7 @@ def _main():
             cells += [*("—" if each is None else each for each in counts), f"{spent:.2g}"]
             print("| " + " | ".join(map(str, cells)) + " |", flush=True)
         if len(rows) > 1:
-            draw_pngs(asked.out, [picture(case.name, rows, other)])
+            write_pngs(asked.out, [picture(case.name, rows, other)])
 
 
 if __name__ == "__main__":

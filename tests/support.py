@@ -109,7 +109,8 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.deck": "Command Deck ac_command",
     "kc2spice.netlist.edited_deck": "normalise_element read_edited_deck",
     "kc2spice.netlist.expression": (
-        "Binary Choice Number Unary Writer evaluate_parameter literal_value parse_expression"
+        "Binary Choice ExpressionWriter Number Unary evaluate_parameter literal_value "
+        "parse_expression"
     ),
     "kc2spice.netlist.importer": "translate_circuit",
     "kc2spice.netlist.include_scan": "read_checked_circuit read_included_netlist",
@@ -174,7 +175,7 @@ NAMES_BY_MODULE = {
     "kc2spice.reference.system": "assemble_system",
     "kc2spice.report.charts": "render_figure",
     "kc2spice.report.drawings": "describe_devices",
-    "kc2spice.report.figures": "draw_pngs",
+    "kc2spice.report.figures": "write_pngs",
     "kc2spice.report.html": "PageSection write_page",
     "kc2spice.report.probe_figure": "plot_probes",
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
@@ -251,7 +252,7 @@ NAMES_BY_MODULE = {
     "kc2spice.sim.output": "classify_log list_alterations read_raw",
     "kc2spice.sim.shared": "run_shared",
     "kc2spice.synthesis": "parameter_ranges ringing terminals",
-    "kc2spice.synthesis.emitted": "estimate_circuit_error require_circuit",
+    "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit",
     "kc2spice.synthesis.header": "part_header rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
     "kc2spice.synthesis.realize": "subcircuit",

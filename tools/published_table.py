@@ -25,7 +25,7 @@ from docs_numbers import date_and_commit
 from kc2spice.bodies.impedance import analyse_impedance
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.progress import Clock
-from kc2spice.report.figures import draw_pngs
+from kc2spice.report.figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -449,7 +449,7 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:
         Curve("published", unit * at, factor * values, "o"),
     )
     panel = Panel(plan.get("x", x_label), plan["y"], curves, log_y=plan.get("log", False))
-    draw_pngs(figures, [Figure(name, entry["device"], "", (panel,))])
+    write_pngs(figures, [Figure(name, entry["device"], "", (panel,))])
 
 
 def _picture(name: str, out: Path, figures: Path) -> None:

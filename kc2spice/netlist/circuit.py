@@ -128,7 +128,7 @@ class Element(Card):
     @cached_property
     def settings(self) -> dict[str, str]:
         """Parameters of the element, keyed by names in lower case."""
-        return lower_names(self.parameters)
+        return key_by_lower_name(self.parameters)
 
     @cached_property
     def law(self) -> Tree:
@@ -207,9 +207,9 @@ class Circuit(Card):
         """Subcircuits whose definitions are items of this circuit."""
         return items_of(self.items, Circuit)
 
-    def changed(self, change: Callable[[Item], Item]) -> Circuit:
+    def map_items(self, change: Callable[[Item], Item]) -> Circuit:
         """Return the circuit with ``change`` applied to each item, inside subcircuits first."""
-        inner = (i.changed(change) if isinstance(i, Circuit) else i for i in self.items)
+        inner = (i.map_items(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 
 
@@ -218,7 +218,7 @@ Kind = TypeVar("Kind")
 Value = TypeVar("Value")
 
 
-def lower_names(values: Mapping[str, Value]) -> dict[str, Value]:
+def key_by_lower_name(values: Mapping[str, Value]) -> dict[str, Value]:
     """Return the values with all keys in lower case, because simulators ignore letter case."""
     return dict(zip(map(str.lower, values), values.values(), strict=True))
 

@@ -181,7 +181,7 @@ class Deck:
     A deck that the user has written has a ``text``, the syntax ``tree`` if known, and the texts of
     included files in ``more``. If ``controlled`` is true, a controller may close a loop, and some
     simulators need short time steps. If a simulator ignores or replaces statements of a ``trusted``
-    deck, the run only prints a warning. Nets in ``free`` need no second connection.
+    deck, the run only prints a warning. Nets in ``free_nets`` need no second connection.
     """
 
     name: str
@@ -197,7 +197,7 @@ class Deck:
     measures: tuple[Measure, ...] = ()
     stop: float | None = None
     max_step: float | None = None
-    initial: Mapping[str, float] = field(default_factory=dict)
+    initial_voltages: Mapping[str, float] = field(default_factory=dict)
     refinements: tuple[Command, ...] = ()
     sweep_scale: float = 1.0
     text: str | None = None
@@ -205,7 +205,7 @@ class Deck:
     more: Mapping[str, str] = field(default_factory=dict)
     controlled: bool = True
     trusted: bool = False
-    free: frozenset[str] = frozenset()
+    free_nets: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         """Return a short description of the deck."""
@@ -242,7 +242,7 @@ class Deck:
         UsageError : an invalid card.
         """
         if self.text is None:
-            return self.printed_for(*self._usage_comment)
+            return self.tree_with_usage(*self._usage_comment)
         return _insert_cards(self._parse_text, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
@@ -296,7 +296,7 @@ class Deck:
             f"*           or  ngspice {plot}  (plots the main curves)",
         )
 
-    def printed_for(self, *usage: str) -> Circuit:
+    def tree_with_usage(self, *usage: str) -> Circuit:
         """Return the tree of the main file with ``usage``, a comment on how to run the file.
 
         The tree of a deck that the user has written is returned unchanged.
@@ -316,10 +316,10 @@ class Deck:
             yield Directive(".include", (part.filename,))
         yield from self.items
         yield ""
-        if self.initial:
+        if self.initial_voltages:
             yield "* No part determines the initial voltages of these nodes."
             yield Directive(
-                ".ic", tuple(f"v({n})={format_number(v)}" for n, v in self.initial.items())
+                ".ic", tuple(f"v({n})={format_number(v)}" for n, v in self.initial_voltages.items())
             )
         yield from self._option_cards
         yield self.command.directive

@@ -115,7 +115,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         parts=(),
         items=(),
         options=(),
-        initial={},
+        initial_voltages={},
         stop=_read_stop(original, analysis),
         max_step=_read_max_step(original, analysis),
         command=Command(original.command.kind, tuple(analysis.words[1:])),

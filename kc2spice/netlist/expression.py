@@ -202,7 +202,9 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
         case Choice(test, yes, no):
             return evaluate_parameter(yes if evaluate_parameter(test, names) else no, names)
     raise UsageError(
-        "this expression is not a number", where="expression", got=Writer().write(tree)[:80]
+        "this expression is not a number",
+        where="expression",
+        got=ExpressionWriter().write(tree)[:80],
     )
 
 
@@ -213,7 +215,7 @@ def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
     return map_operands(tree, lambda node: substitute_names(node, values))
 
 
-class Writer:
+class ExpressionWriter:
     """Writer that converts expression trees to text; dialects override the spelling."""
 
     def name(self, text: str) -> str:

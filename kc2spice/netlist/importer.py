@@ -31,11 +31,11 @@ from kc2spice.netlist.expression import (
     Call,
     Choice,
     CircuitVariable,
+    ExpressionWriter,
     Name,
     Number,
     Tree,
     Unary,
-    Writer,
     literal_value,
     map_operands,
     parse_expression,
@@ -114,10 +114,10 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
     """
     if syntax == "ngspice":
         return circuit
-    return _Scope(circuit, {}, frozenset(), syntax).translated()
+    return _CircuitTranslator(circuit, {}, frozenset(), syntax).translate()
 
 
-class _Scope:
+class _CircuitTranslator:
     """Translator of one circuit, with all models and functions that the circuit can use."""
 
     def __init__(
@@ -139,7 +139,7 @@ class _Scope:
         # ammeters of elements whose current an expression reads
         self.metered: dict[str, str] = {}
 
-    def translated(self) -> Circuit:
+    def translate(self) -> Circuit:
         """Return the circuit in the syntax of ngspice."""
         groups = [(item, tuple(self._translate_item(item))) for item in self.circuit.items]
         items: list[Item] = []
@@ -166,13 +166,15 @@ class _Scope:
 
     def _translate_law(self, text: str, card: Card) -> str:
         """Translate the expression of a card."""
-        return _Translator(card, self).law(text)
+        return _ExpressionTranslator(card, self).translate_law(text)
 
     def _translate_item(self, item: Item) -> Iterable[Item]:
         """Translate an item to the corresponding ngspice items."""
         match item:
             case Circuit():
-                return (_Scope(item, self.models, self.functions, self.syntax).translated(),)
+                return (
+                    _CircuitTranslator(item, self.models, self.functions, self.syntax).translate(),
+                )
             case Model():
                 return self._translate_model(item)
             case Parameters():
@@ -437,7 +439,7 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
         current = "+".join(ends)
     if "m" in count:
         current = f"({count['m'].strip('{}')})*({current})"
-    law = Writer().write(parse_expression(current, where=element.where))
+    law = ExpressionWriter().write(parse_expression(current, where=element.where))
     return replace(
         element, kind="b", name=f"B{element.name}", model="", values=(), parameters={},
         quantity="I", expression=law,
@@ -465,7 +467,9 @@ def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Ele
     share = f"min(max(({control}-{low})/({high}-{low}), 0), 1)"
     plus, minus = element.nodes[:2]
     law = f"V({plus},{minus})/{opened}*exp(ln({opened}/{closed})*{share}*{share}*(3-2*{share}))"
-    return _make_source(element, "I", Writer().write(parse_expression(law, where=element.where)))
+    return _make_source(
+        element, "I", ExpressionWriter().write(parse_expression(law, where=element.where))
+    )
 
 
 def _make_source(element: Element, quantity: str, law: str) -> Element:
@@ -528,13 +532,13 @@ def _split_settings(law: str) -> tuple[str, dict[str, str]]:
     return law[: starts[0].start()], settings
 
 
-class _Translator:
+class _ExpressionTranslator:
     """Translator of the expressions of one card."""
 
-    def __init__(self, card: Card, scope: _Scope) -> None:
+    def __init__(self, card: Card, scope: _CircuitTranslator) -> None:
         self.card, self.scope = card, scope
 
-    def law(self, text: str) -> str:
+    def translate_law(self, text: str) -> str:
         """Translate an expression to ngspice.
 
         Raises
@@ -546,11 +550,13 @@ class _Translator:
             raise self.card.error(message, text[:80], "** for a power")
         text = re.sub(r"(?<!&)&(?!&)", "&&", re.sub(r"(?<!\|)\|(?!\|)", "||", text))
         text = text.replace("~", "!").translate(_MICRO)
-        return Writer().write(self.tree(parse_expression(text, where=self.card.where)))
+        return ExpressionWriter().write(
+            self.translate_tree(parse_expression(text, where=self.card.where))
+        )
 
-    def tree(self, tree: Tree) -> Tree:
+    def translate_tree(self, tree: Tree) -> Tree:
         """Translate an expression tree to ngspice, operands first."""
-        tree = map_operands(tree, self.tree)
+        tree = map_operands(tree, self.translate_tree)
         match tree:
             case Call(function, arguments):
                 return self._translate_call(function, arguments)
@@ -587,7 +593,7 @@ class _Translator:
         if function in self.scope.functions:  # a user's .func replaces the built-in function
             return Call(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
-            got = Writer().write(Call(function, arguments))
+            got = ExpressionWriter().write(Call(function, arguments))
             raise self.card.error(f"{reason} has no equal in ngspice", got[:80])
         rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(
             (function, -1)
@@ -610,7 +616,9 @@ class _Translator:
             return Binary("^", base, power)
         problem = "a power with a base that can be negative has another value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
-        raise self.card.error(problem, Writer().write(Binary("^", base, power))[:80], expected)
+        raise self.card.error(
+            problem, ExpressionWriter().write(Binary("^", base, power))[:80], expected
+        )
 
 
 def _is_positive(tree: Tree) -> bool:

@@ -106,7 +106,7 @@ class Subcircuit:
     ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module, otherwise
     empty. ``reduction`` is None if the part has no reduced model. ``source`` is the text of a
     library that another author has written; the text of all other libraries is printed from
-    ``circuit``. The first ``head_lines`` comments above the ``.subckt`` are the header.
+    ``circuit``. The first ``header_lines`` comments above the ``.subckt`` are the header.
     """
 
     name: str
@@ -118,7 +118,7 @@ class Subcircuit:
     no_module: str = ""
     reduction: ReductionSummary | None = None
     source: str = ""
-    head_lines: int = 0
+    header_lines: int = 0
 
     @property
     def filename(self) -> str:
@@ -135,7 +135,7 @@ class Subcircuit:
         """Tree in which each card has its text and its position in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
-    def changed(self, circuit: Circuit) -> Subcircuit:
+    def with_circuit(self, circuit: Circuit) -> Subcircuit:
         """Return the part with ``circuit`` as its tree."""
         return replace(self, circuit=circuit, source="")
 

@@ -71,7 +71,7 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
     """Return the wiring mistakes in parsed circuits."""
     signals = frozenset(_list_signal_pins(trees.values()))
     read = _saved_nodes(deck, top)
-    read.setdefault(id(top), set()).update(deck.free)
+    read.setdefault(id(top), set()).update(deck.free_nets)
     problems: list[UsageError] = []
     for item in top.inner_scopes():
         problems += _check_cards(item)

@@ -72,12 +72,12 @@ def with_prefix(text: str) -> str:
     return text
 
 
-def abbreviate(value: float, digits: int = 4) -> str:
+def abbreviate_number(value: float, digits: int = 4) -> str:
     """Return a rounded number with a scale factor, for comments.
 
     Examples
     --------
-    >>> [abbreviate(x) for x in (8.4153e-8, 41.2e6, 0.0, 12.0, 3e-20)]
+    >>> [abbreviate_number(x) for x in (8.4153e-8, 41.2e6, 0.0, 12.0, 3e-20)]
     ['84.15n', '41.2meg', '0', '12', '3e-20']
     """
     number = Decimal(f"{value:.{digits - 1}e}")

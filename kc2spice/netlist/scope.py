@@ -18,7 +18,7 @@ from kc2spice.netlist.circuit import (
     Function,
     Model,
     Parameters,
-    lower_names,
+    key_by_lower_name,
 )
 from kc2spice.netlist.expression import parse_vector
 
@@ -155,7 +155,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         raise item.error("two subcircuits have one name", item.name, expected)
-    defaults = lower_names(item.defaults)
+    defaults = key_by_lower_name(item.defaults)
     parent.subcircuits[name] = Scope(
         item.name,
         item.where,

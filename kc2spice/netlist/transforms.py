@@ -9,7 +9,14 @@ from dataclasses import replace
 from typing import TypeVar
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.circuit import SMALLEST_POSITIVE, Circuit, Element, Item, Param, lower_names
+from kc2spice.netlist.circuit import (
+    SMALLEST_POSITIVE,
+    Circuit,
+    Element,
+    Item,
+    Param,
+    key_by_lower_name,
+)
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.expression import join_terms, parse_vector, split_terms
@@ -38,14 +45,14 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
             if isinstance(item, Circuit) and item.name == name:
                 title = f"* {name}:{helper.title.partition(':')[2]}"
                 head = ("", title, instance_comment(name, item.pins, item.defaults))
-                items[k] = replace(item, notes=(*head, *item.notes[helper.head_lines :]))
+                items[k] = replace(item, notes=(*head, *item.notes[helper.header_lines :]))
         tree = replace(tree, items=(*tree.items, *items))
-    return part.changed(tree)
+    return part.with_circuit(tree)
 
 
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     """Return ``circuit`` with subcircuits renamed by ``names``."""
-    new = lower_names(names)
+    new = key_by_lower_name(names)
 
     def rename_item(entry: Item) -> Item:
         """Return an item in which subcircuits are renamed."""
@@ -55,7 +62,7 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
             return replace(entry, model=new.get(entry.model.lower(), entry.model))
         return entry
 
-    return circuit.changed(rename_item)
+    return circuit.map_items(rename_item)
 
 
 # --- new values of the netlist parameters param.PART.NAME ---
@@ -127,7 +134,7 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
     items = tuple(new.get(id(item), item) for item in part.circuit.items)
     if not new:
         return part
-    changed = part.changed(replace(part.circuit, items=items))
+    changed = part.with_circuit(replace(part.circuit, items=items))
     return replace(changed, params=tuple(params))
 
 
@@ -182,10 +189,12 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
         for name, (expression, factor) in deck.vectors.items():
             vectors[f"{k}.{name}"] = _move_into_instance(expression, f"x{k}"), factor
         units |= _prefix_keys(f"{k}.", deck.units)
-        initial |= _prefix_keys(f"x{k}.", deck.initial)
+        initial |= _prefix_keys(f"x{k}.", deck.initial_voltages)
     title, items = f"{deck.title}, {count} copies", (*copy, *copies)
     deck = replace(deck, measures=())
-    return replace(deck, title=title, items=items, vectors=vectors, units=units, initial=initial)
+    return replace(
+        deck, title=title, items=items, vectors=vectors, units=units, initial_voltages=initial
+    )
 
 
 def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
@@ -245,7 +254,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
             return entry
         return replace(entry, parameters={**entry.parameters, "noisy": "0"})
 
-    return part.changed(part.circuit.changed(silence_resistor))
+    return part.with_circuit(part.circuit.map_items(silence_resistor))
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:

@@ -31,7 +31,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
     if dialect == NGSPICE:
         return deck
     printer = find_dialect(dialect)(deck)
-    main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
+    main = deck.tree_with_usage(f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.located_trees, deck.main: main}
     if deck.text is None:
         trees[deck.main] = locate_cards(main, deck.main)

@@ -18,7 +18,7 @@ import numpy as np
 from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, PiecewisePolynomial
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Writer, substitute_names
+from kc2spice.netlist.expression import ExpressionWriter, substitute_names
 from kc2spice.physics.declaration import (
     HEAT_BRANCH,
     Branch,
@@ -129,7 +129,7 @@ def _declare_force(
         "electromagnetic catch actuator",
         Section,
         (_HEIGHT_BRANCH, *branches),
-        forces={"y": Writer().write(force)},
+        forces={"y": ExpressionWriter().write(force)},
         ideal_work=True,
         tables=(*_TABLE_NAMES, *(p + SLOPE_SUFFIX for p in _TABLE_NAMES)),
         **_choose_pins(height, names),

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.netlist.expression import Name, Tree, Writer, substitute_names
+from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, substitute_names
 from kc2spice.physics.declaration import RATE, Declaration, displacement
 from kc2spice.physics.symbolic import (
     add_trees,
@@ -153,7 +153,7 @@ def declare_contact(
             pressed[-1], divide_trees(substitute_names(elastic, moved), parse_simplified(share))
         )
         branches.append(displacement(x, pin, low, f"force.{port}", carried))
-        forces[x] = Writer().write(damping)
+        forces[x] = ExpressionWriter().write(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
     lags = dict.fromkeys(forces, "pace") if law.pace else {}
     kind, along, absent = "elastic", "", "friction, "
@@ -165,13 +165,13 @@ def declare_contact(
         rubbed = multiply_trees(
             parse_simplified(f"friction*clip(slide{RATE}/creep)"), add_trees(*pressed)
         )
-        forces["slide"] = Writer().write(rubbed)
+        forces["slide"] = ExpressionWriter().write(rubbed)
     return Declaration(
         "contact",
         "penalty contact",
         Section,
         tuple(branches),
-        energy=Writer().write(add_trees(*energies)),
+        energy=ExpressionWriter().write(add_trees(*energies)),
         forces=forces,
         given=tuple(_parameters(ports, gaps, law, under, groove)),
         constants=constants,

@@ -46,9 +46,9 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import (
     Call,
+    ExpressionWriter,
     Name,
     Tree,
-    Writer,
     map_operands,
     substitute_names,
     walk_tree,
@@ -784,17 +784,17 @@ class Declaration:
         """Equations of the part as text: flow of each branch, or voltage of a current."""
         result = [*filter(None, map(self._equation, self.acting_branches))]
         for name, tree in self.signal_trees.items():
-            result.append(f"{name} = {Writer().write(tree)}")
+            result.append(f"{name} = {ExpressionWriter().write(tree)}")
         for name, tree in self.state_rates.items():
-            result.append(f"d/dt {name} = {Writer().write(tree)}")
+            result.append(f"d/dt {name} = {ExpressionWriter().write(tree)}")
         return tuple(result)
 
     def _equation(self, branch: Branch) -> str:
         """Return the equation of the flow of a branch as text; empty for a zero flow."""
         direct = self.name_power_series(self.direct_flow(branch))
         storage = self.name_power_series(self.stored_quantity(branch))
-        terms = [f"d/dt ({Writer().write(storage)})"] if storage != ZERO else []
-        terms += [Writer().write(direct)] if direct != ZERO else []
+        terms = [f"d/dt ({ExpressionWriter().write(storage)})"] if storage != ZERO else []
+        terms += [ExpressionWriter().write(direct)] if direct != ZERO else []
         name = branch.across if branch.flows else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 

@@ -407,7 +407,7 @@ def declared_subcircuit(
     circuit = Circuit(name, ends, parameter_defaults_of(params), items, notes=head)
     title = format_comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
-    facts: dict[str, Any] = {"no_module": d.no_module, "head_lines": len(head)}
+    facts: dict[str, Any] = {"no_module": d.no_module, "header_lines": len(head)}
     return Subcircuit(name, pins, params, tree, title=title, **facts)
 
 

@@ -30,11 +30,11 @@ from kc2spice.netlist.expression import (
     Call,
     Choice,
     CircuitVariable,
+    ExpressionWriter,
     Name,
     Number,
     Tree,
     Unary,
-    Writer,
     map_operands,
     operands_of,
     parse_expression,
@@ -122,7 +122,7 @@ def _replace_above(tree: Tree) -> Tree:
     return map_operands(tree, _replace_above)
 
 
-class _CardWriter(Writer):
+class _CardWriter(ExpressionWriter):
     """Writer of expressions for netlist cards."""
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
@@ -150,7 +150,7 @@ def format_tree(tree: Tree) -> str:
         if isinstance(node, Call) and node.function == "integral":
             raise UsageError(
                 "an integral cannot be written to a netlist",
-                got=Writer().write(node),
+                got=ExpressionWriter().write(node),
                 hint="write the closed form of the integral",
             )
     return _CardWriter().write(tree)
@@ -384,11 +384,12 @@ def _terms(tree: Tree) -> list[_Product]:
         case Binary("^", base, Unary("-", power)):
             return [_factor_into_product(Binary("^", base, power)).inverse()]
         case Binary("^", base, power):
+            text = ExpressionWriter().write(_make_exponential(base, power))
             raise UsageError(
                 "the exponent is not a whole number",
-                got=Writer().write(tree),
+                got=ExpressionWriter().write(tree),
                 expected="a whole number after ^",
-                hint=f"write {Writer().write(_make_exponential(base, power))} for a positive base",
+                hint=f"write {text} for a positive base",
             )
     if not _may_differ_from_zero(tree):
         return []
@@ -469,7 +470,7 @@ def split_calls(
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
                 "a netlist cannot contain a function or product of tables",
-                got=Writer().write(term.tree()),
+                got=ExpressionWriter().write(term.tree()),
                 expected="each table as a factor of a term",
             )
         if calls:
@@ -531,7 +532,7 @@ def _flag_name(argument: Tree, corners: tuple[Tree, ...]) -> Name:
     return Name(f"flag{corners.index(argument)}")
 
 
-class _PythonWriter(Writer):
+class _PythonWriter(ExpressionWriter):
     """Writer of expressions in Python syntax."""
 
     def name(self, text: str) -> str:

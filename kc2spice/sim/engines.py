@@ -1,4 +1,4 @@
-"""Ways to run the deck of a scene: in a separate process, or as a library with functions."""
+"""Engines that run a deck: ngspice as a separate process, or as a library."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from tempfile import TemporaryDirectory
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.scene.part_records import SampledSource
-from kc2spice.sim.ngspice import Share, run_deck
+from kc2spice.sim.ngspice import ProgressCallback, run_deck
 from kc2spice.sim.output import join_analyses
 
 
 @dataclass(frozen=True)
 class Engine:
-    """Way to run decks of a scene in ngspice, whose files are in ``directory``.
+    """Engine that runs decks of a scene in ngspice, with files in ``directory``.
 
-    Python functions set the ``sampled`` sources while ngspice runs as a library. ``refinements``
-    are further analyses of small signals. ``from_rest`` states whether each of them needs a
-    separate run: within one run, ngspice begins the search for the next operating point at the
-    response of the last analysis. If several operating points exist, such a run may find another
-    one. ``timeout`` is the largest wall-clock time [s] of a run.
+    If Python functions set the ``sampled`` sources, ngspice runs as a library. ``refinements`` are
+    further small-signal analyses. If ``from_rest`` is true, each refinement is a separate run:
+    within one run, ngspice would begin the search for the next operating point at the solution of
+    the last analysis, and could find a different operating point. ``timeout`` is the largest
+    wall-clock time [s] of a run.
     """
 
     directory: Path
-    progress: Share = None
+    progress: ProgressCallback = None
     timeout: float | None = None
     sampled: Sequence[SampledSource] = ()
     refinements: tuple[Command, ...] = ()
@@ -35,11 +35,11 @@ class Engine:
     def run(self, deck: Deck) -> Waveforms:
         """Run ``deck`` with the refinements and return its waves in SI units.
 
-        Raises as :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_shared`
-        do.
+        The errors are the errors of :func:`kc2spice.sim.ngspice.run_deck` and
+        :func:`kc2spice.sim.shared.run_shared`.
         """
         if self.sampled:
-            # imported here, because few scenes need the library
+            # imported here, because few scenes run in the library
             from kc2spice.sim.shared import run_shared
 
             functions = [item.reset_function for item in self.sampled]

@@ -1,6 +1,6 @@
 """Runs of ngspice in batch mode, with checks of their results.
 
-The exit code of ngspice alone does not prove success. A failed run is repeated with other
+The exit code of ngspice does not prove that a run succeeded. A failed run is repeated with other
 settings.
 """
 
@@ -33,7 +33,7 @@ from kc2spice.scene.checks import Check, Verdict, require_passed
 from kc2spice.sim.output import (
     FailedRunError,
     Failure,
-    Kind,
+    FailureKind,
     find_altered_run,
     find_run_failure,
     last_scale_value,
@@ -43,17 +43,17 @@ from kc2spice.sim.output import (
 )
 
 VERSION_TIMEOUT = 20.0  # s, time limit of ``ngspice --version``
-STALL_TIME = 60.0  # s without processor time after which a run hangs
-MAX_RAW_BYTES = 8_000_000_000  # bytes of one raw file
-MIN_FREE_BYTES = 1_000_000  # free bytes below which a disk counts as full
-POLL_INTERVAL = 0.05  # s between two checks of the growing raw file
-# callback that receives the completed fraction of a transient
-Share = Callable[[float], None] | None
+STALL_TIME = 60.0  # s; a run without processor time for so long hangs
+MAX_RAW_BYTES = 8_000_000_000  # largest number of bytes of a raw file
+MIN_FREE_BYTES = 1_000_000  # smallest number of free bytes on the disk
+POLL_INTERVAL = 0.05  # s between two checks of the raw file
+# Callback whose argument is the completed fraction of a transient.
+ProgressCallback = Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """Simulator program and its version."""
+    """Simulator program with its version and path."""
 
     name: str
     version: str
@@ -62,11 +62,11 @@ class Simulator:
 
 @cache
 def find_ngspice() -> Simulator:
-    """Return the ngspice on the search path.
+    """Find the program ngspice on the search path.
 
     Raises
     ------
-    MissingToolError : ngspice is missing, or does not print its version.
+    MissingToolError : ngspice is not installed, or does not print its version.
     """
     path = shutil.which("ngspice")
     if path is None:
@@ -97,7 +97,7 @@ def find_ngspice() -> Simulator:
 
 @cache
 def _end_with_parent() -> tuple[str, ...]:
-    """Return a command prefix that ends the command when this process is killed."""
+    """Return the prefix of a command that ends the command if this process is killed."""
     words = ("setpriv", "--pdeathsig", "KILL", "--")
     tried: Any = {"capture_output": True, "check": False}
     works = shutil.which(words[0]) and not subprocess.run([*words, "true"], **tried).returncode
@@ -105,11 +105,11 @@ def _end_with_parent() -> tuple[str, ...]:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write texts into ``directory`` under their names, which may contain folders.
+    """Write texts to files in ``directory``; the file names may contain folders.
 
     Raises
     ------
-    UsageError : a name leads out of ``directory``; nothing is written.
+    UsageError : a name leads out of ``directory``. No file is written then.
     """
     for filename in files:
         if reason := explain_unsafe_name(filename):
@@ -126,24 +126,24 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 
 
 def run_deck(
-    deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
+    deck: Deck, directory: Path, progress: ProgressCallback = None, timeout: float | None = None
 ) -> Waveforms:
-    """Write ``deck`` into ``directory``, run it, and return its results in SI.
+    """Write ``deck`` to ``directory``, run the deck, and return the results in SI units.
 
     Parameters
     ----------
-    progress : called with the share of the transient that is done, 0 to 1.
+    progress : callback whose argument is the completed fraction of the transient, 0 to 1.
     timeout : wall-clock time in seconds after which the run is ended.
 
     Raises
     ------
-    MissingToolError : no ngspice.
+    MissingToolError : ngspice is not installed.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
-        is not trusted. The message states cause, node, time and part, and the directory with
-        ``NAME.log``. The error contains the waveforms up to the failure.
-    UsageError : a run with its largest step would write more than ``MAX_RAW_BYTES`` bytes.
-    SimulationError : the time is over, or the raw file is incomplete or too large. No failed run
-        leaves a raw file.
+        is not trusted. The message states cause, node, time and part, and the directory that
+        contains ``NAME.log``. The error contains the waveforms up to the failure.
+    UsageError : even with the largest step, the run would write more than ``MAX_RAW_BYTES`` bytes.
+    SimulationError : the run exceeds ``timeout``, or the raw file is incomplete or too large. The
+        raw file of a failed run is deleted.
     """
     _require_size(deck)
     find_ngspice()
@@ -204,7 +204,7 @@ def _require_size(deck: Deck) -> None:
 
 
 def _run_ngspice(
-    deck: Deck, main: Path, raw: Path, log: Path, progress: Share, timeout: float | None
+    deck: Deck, main: Path, raw: Path, log: Path, progress: ProgressCallback, timeout: float | None
 ) -> int:
     """Run ngspice without the user's start-up files and return its exit code.
 
@@ -214,7 +214,7 @@ def _run_ngspice(
     """
     command = [*_end_with_parent(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
-    environment["HOME"] = str(main.parent)  # ngspice crashes without a home directory
+    environment["HOME"] = str(main.parent)  # without a home directory, ngspice crashes
     begin = worked = time.monotonic()
     spent = None
     with log.open("wb") as sink:
@@ -249,13 +249,13 @@ def _run_ngspice(
                     progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL_INTERVAL)
         finally:
-            process.kill()  # has no effect on a process that has ended
+            process.kill()  # no effect if the process has ended
             process.wait()
         return process.returncode
 
 
 def _processor_time(pid: int) -> int | None:
-    """Return the clock ticks of a process and its children, None if unknown."""
+    """Return the processor time [clock ticks] of a process and its children, if known."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         return sum(map(int, fields[11:15]))
@@ -266,7 +266,7 @@ def _processor_time(pid: int) -> int | None:
 def partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
-    """Return the waves of a failed run, None if vectors of the deck are missing."""
+    """Return the waves of a failed run; None if vectors of the deck are missing."""
     try:
         return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
     except SimulationError:
@@ -274,14 +274,14 @@ def partial_waves(
 
 
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the results in SI by name, the scale first.
+    """Return the results in SI units, keyed by name, the scale first.
 
-    The scale is called ``time``, ``frequency`` or ``sweep``. The scale is also in SI units: a
-    swept displacement is in metres, although the source uses um.
+    The scale is called ``time``, ``frequency`` or ``sweep``. A swept quantity is also in SI units:
+    a displacement is in metres, although the source is in um.
 
     Raises
     ------
-    SimulationError : a vector is missing.
+    SimulationError : a vector of the deck is missing.
     """
     first = next(iter(vectors))
     scale = first if first in ("time", "frequency") else "sweep"
@@ -289,7 +289,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in split_terms(expression):
-            # raw files enclose the names of devices in "i(…)"
+            # in raw files, the names of devices are in "i(…)"
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError(
@@ -302,13 +302,13 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
 
 @dataclass(frozen=True)
 class RetrySetting:
-    """Settings of an attempt: options, and a factor on tolerances and steps.
+    """Settings of an attempt: options, and a factor for tolerances and steps.
 
-    ``cures`` are the causes of failures that the setting may prevent, and ``why`` is the reason.
+    ``cures`` are the kinds of failures that the setting may prevent, and ``why`` is the reason.
     """
 
     name: str
-    cures: tuple[Kind, ...]
+    cures: tuple[FailureKind, ...]
     why: str
     options: Mapping[str, str] = field(default_factory=dict)
     factor: float = 1.0
@@ -320,7 +320,7 @@ class RetrySetting:
 
     @property
     def changes(self) -> str:
-        """Changes of the settings in words."""
+        """Description of the changed settings."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
@@ -339,11 +339,11 @@ class RetrySetting:
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
-# Measured on the kick scene with a contact penalty of 1e11 and 1e12 N/m, which fails with "timestep
-# too small". Larger pivot thresholds succeed at 1.2 to 2 times the cost per point; Gear
-# integration, tighter tolerances or more iterations alone do not. With larger pivot thresholds,
-# Gear integration also damps the rounding noise that slows the trapezoidal rule, at about twice the
-# error per step.
+# Measured with the kick scene and a contact penalty of 1e11 and 1e12 N/m, which fails with
+# "timestep too small". Runs with larger pivot thresholds succeed, with 1.2 to 2 times the cost per
+# point. Runs with only Gear integration, tighter tolerances or more iterations fail. With larger
+# pivot thresholds, Gear integration also damps the rounding noise that slows the trapezoidal rule
+# down; its error per step is about twice as large.
 RETRY_SETTINGS = (
     RetrySetting(
         "firmer pivots",
@@ -374,9 +374,9 @@ RETRY_SETTINGS = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """Attempt to run the simulator, as ``result.json`` describes it.
+    """Record in ``result.json`` of an attempt to run the simulator.
 
-    ``cause`` is the reason why the attempt failed, None if it succeeded.
+    ``cause`` is the reason why the attempt failed; None if the attempt succeeded.
     """
 
     setting: str
@@ -390,8 +390,8 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Result of the first successful attempt, its deck, and all attempts."""
+class RunOutcome:
+    """Result of the first successful attempt, the attempt's deck, and all attempts."""
 
     deck: Deck
     waves: Waveforms
@@ -400,10 +400,10 @@ class Outcome:
 
 
 class RetriesFailedError(SimulationError):
-    """Error after the last attempt failed.
+    """Error after the failure of the last attempt.
 
     ``violated`` are the checks that the last attempt violated. ``suggested`` contains scene keys
-    with values that would correct these checks, except checks that smaller steps correct.
+    with values that would prevent these violations, except violations due to large steps.
     """
 
     attempts: tuple[Attempt, ...]
@@ -413,9 +413,9 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return the keys that correct the violated checks, except checks of long steps.
+    """Return keys that prevent the violations, except violations due to large steps.
 
-    The result is empty if no keys avoid one of these violations.
+    The result is empty if one of the violations cannot be prevented by keys.
     """
     result: dict[str, Any] = {}
     for check in violated:
@@ -434,18 +434,19 @@ def run_with_retries(
     *,
     retries: int,
     judge: Callable[[Waveforms], Verdict],
-) -> Outcome:
-    """Run a deck, and repeat it with other settings if these may prevent the failure.
+) -> RunOutcome:
+    """Run a deck, and repeat a failed run with settings that may prevent the failure.
 
-    The cause of a failure selects the next setting, in addition to the earlier ones. A warning
-    announces each retry. ``engine`` writes its logs into ``directory``. ``judge`` checks a finished
-    run; a violated energy balance counts as a failure by too long time steps.
+    The cause of a failure determines the next setting, which is combined with the earlier settings.
+    Each retry causes a warning. ``engine`` writes its logs to ``directory``. ``judge`` returns the
+    checks of a finished run. A violated energy balance counts as a failure due to large time steps.
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed; the message names node, time, part, all settings
-        and possible remedies.
-    SimulationError, MissingToolError : as :func:`run_deck`, for failures that no setting prevents.
+    RetriesFailedError : the last attempt failed; the message contains node, time, part, all
+        settings and possible remedies.
+    SimulationError, MissingToolError : a failure that no setting can prevent, as in
+        :func:`run_deck`.
     """
     setting, left = FIRST_SETTING, list(RETRY_SETTINGS)
     attempts: list[Attempt] = []
@@ -469,8 +470,10 @@ def run_with_retries(
                     farthest = failure
             elif violated:
                 first = violated[0]
-                # Outside of the range of a model, no tolerance makes the result correct.
-                kind: Kind | None = "coarse" if all(check.coarse for check in violated) else None
+                # Outside of the valid range of a model, the result is wrong with any tolerance.
+                kind: FailureKind | None = (
+                    "coarse" if all(check.coarse for check in violated) else None
+                )
                 failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}", kind=kind)
             else:
                 raise
@@ -478,7 +481,7 @@ def run_with_retries(
         wall = time.perf_counter() - start
         attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
         if failure.cause is None:
-            return Outcome(tried, waves, verdict, tuple(attempts))
+            return RunOutcome(tried, waves, verdict, tuple(attempts))
         following = next((item for item in left if failure.kind in item.cures), None)
         if following is None or len(attempts) > retries:
             vain = [f"{a.setting} ({a.settings})" for a in attempts[1:]]
@@ -499,7 +502,7 @@ def run_with_retries(
             stacklevel=2,
         )
         log = (directory / deck.main).with_suffix(".log")
-        if log.is_file():  # renamed before the next attempt writes its log
+        if log.is_file():  # the next attempt writes a log with this name
             log.rename(log.with_suffix(f".{len(attempts)}.log"))
         left.remove(following)
         setting = following.combine(setting)

@@ -1,7 +1,7 @@
 """Readers of the output of ngspice: its log and its binary raw files.
 
-Failures and difficulties in the log, with their node or part, are separated from harmless notes.
-Raw files are checked before use.
+The readers separate failures and difficulties in the log, with their node or part, from harmless
+notes. Raw files are checked before use.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.importer import DISPLAYED_PARAMETERS
 from kc2spice.netlist.nodes import describe_node
 
-# "coarse": ngspice finished, but the energy balance of the result is violated.
-Kind = Literal["timestep", "singular", "operating point", "coarse"]
+# The kind "coarse" means that ngspice finished, but the result violates the energy balance.
+FailureKind = Literal["timestep", "singular", "operating point", "coarse"]
 
-# Messages of ngspice in a failed run with any exit code.
+# Messages that ngspice prints in a failed run, with any exit code.
 _FATAL_MESSAGE = re.compile(
     r"timestep too small|iteration limit reached|run simulation\(s\) aborted|"
     r"simulation interrupted|there aren't any circuits|no such vector|fatal|"
@@ -35,25 +35,26 @@ _FATAL_MESSAGE = re.compile(
     r"not enough memory|out of memory|no space left|^\s*error\b|\bsyntax error\b",
     re.IGNORECASE,
 )
-# ngspice did not find the operating point directly; exported decks must not need these steps.
+# Messages about difficulties in the search for the operating point. Exported decks must not need
+# these steps of ngspice.
 _STRUGGLE_MESSAGE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
     re.IGNORECASE,
 )
-# Node, or device instance as in 'trouble with b-instance b.x1.b2'.
+# Messages with a node, or with a device instance as in 'trouble with b-instance b.x1.b2'.
 _NODE_MESSAGE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
-# Parameter, value or card that ngspice interprets differently from the netlist.
+# Messages about a parameter, value or card that ngspice ignored or replaced.
 _ALTERED_MESSAGE = re.compile(
     r"\bignor(?:ed|ing)\b|\b(?:re)?set to\b|\bassumed?\b|\blimited to\b|\breplaced\b|"
     r"\bdefault(?:ed|ing|s)?\b|\bnot (?:yet )?(?:supported|implemented)\b|\bunsupported\b|"
     r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
-# The same words without effect on the result: printed vectors, and a source without a value, for
-# which the manual defines 0 V or 0 A.
+# Messages with the same words that concern no result: printed vectors, and a source without a
+# value, which is 0 V or 0 A by definition.
 _HARMLESS_MESSAGE = re.compile(
     r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
     r"dc value used for op instead of transient|no DC value, transient time 0 value used|"
@@ -64,11 +65,11 @@ _MODEL_LINE = re.compile(r"model issue on line \d+", re.IGNORECASE)
 _DISPLAYED_PARAMETER = re.compile(
     rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED_PARAMETERS))})\)", re.IGNORECASE
 )
-MAX_ALTERATIONS = 5  # alterations that an error quotes
+MAX_ALTERATIONS = 5  # largest number of alterations that an error quotes
 _START_FAILURE = re.compile(
     r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE
 )
-# card that ngspice cannot read, and the reason in the next line
+# Card that ngspice cannot read, and the reason in the next line of the log.
 _CARD_ERROR = re.compile(
     r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I
 )
@@ -80,7 +81,7 @@ _STATISTICS_PATTERNS = {
     "cpu_s": r"Total analysis time \(seconds\) = ([0-9.eE+-]+)",
 }
 
-_ADVICE_BY_CAUSE: Mapping[Kind | None, str] = {
+_ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
     "timestep": "steps shrink where something jumps or is very stiff: try more damping or a softer "
     "stop there, hysteresis or a finite edge of a switch, or a smaller solver.max_step",
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
@@ -90,25 +91,25 @@ _ADVICE_BY_CAUSE: Mapping[Kind | None, str] = {
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of a simulator run, as described in a log.
+    """Failure of a simulator run that its log describes.
 
-    ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` are the
-    location of the failure, ``kind`` is the class of failures that a retry may prevent; None if
-    unknown. ``struggles`` are log lines of difficulties at the operating point. ``partial``
-    contains the waveforms up to the failure, if any.
+    ``cause`` is the log line that names the failure. ``node``, ``time`` [s] and ``part`` are the
+    location of the failure. ``kind`` is the kind of failure, by which a retry is selected. Unknown
+    values are None. ``struggles`` are log lines about difficulties in the search for the operating
+    point. ``partial`` contains the waveforms up to the failure, if any.
     """
 
     cause: str | None
     node: str | None = None
     time: float | None = None
-    kind: Kind | None = None
+    kind: FailureKind | None = None
     struggles: tuple[str, ...] = ()
     part: str | None = None
     partial: Waveforms | None = None
 
 
 def classify_log(text: str) -> Failure:
-    """Find the failure in ``text``, the standard output and error of one run."""
+    """Find the failure in ``text``, the log of one run."""
     lines = re.split(r"[\r\n]+", _CARD_ERROR.sub(r"error in the card \1: \2", text))
     errors, struggles = [], []
     for line in lines:
@@ -118,10 +119,10 @@ def classify_log(text: str) -> Failure:
             struggles.append(line.strip())
     cause = next(filter(_NODE_MESSAGE.search, errors), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
-    kind: Kind | None = None
+    kind: FailureKind | None = None
     if any("timestep too small" in line.lower() and _TIME_PATTERN.search(line) for line in errors):
         kind = "timestep"
-    elif errors and _START_FAILURE.search(text):  # fails before the first time step
+    elif errors and _START_FAILURE.search(text):  # the failure is before the first time step
         singular = "singular matrix" in "\n".join(struggles).lower()
         kind = "singular" if singular else "operating point"
     node = next(filter(None, map(_NODE_MESSAGE.search, suspects)), None)
@@ -136,9 +137,9 @@ def classify_log(text: str) -> Failure:
 
 
 def list_alterations(text: str) -> tuple[str, ...]:
-    """List the lines of the log about cards that ngspice changed or ignored.
+    """List the lines of the log about cards that ngspice has changed or ignored.
 
-    Each row appears once, and begins with the ``.model`` card if the log contains it.
+    Each line is listed only once. If the log contains the ``.model`` card, the line begins with it.
     """
     result: dict[str, None] = {}
     model, expected = "", False
@@ -155,7 +156,10 @@ def list_alterations(text: str) -> tuple[str, ...]:
 
 
 def read_statistics(text: str) -> dict[str, float]:
-    """Read the points, iterations and CPU seconds that ``.options acct`` prints."""
+    """Read the numbers of points and iterations and the CPU time [s] from the log.
+
+    ngspice prints these statistics with ``.options acct``.
+    """
     result = {}
     for key, pattern in _STATISTICS_PATTERNS.items():
         match = re.search(pattern, text)
@@ -168,7 +172,7 @@ def read_statistics(text: str) -> dict[str, float]:
 
 
 class FailedRunError(SimulationError):
-    """Error of a run in which ngspice ended without a result."""
+    """Error about a run in which ngspice ended without a result."""
 
     failure: Failure
 
@@ -176,10 +180,10 @@ class FailedRunError(SimulationError):
 def find_run_failure(
     deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
-    """Return the error of a failed run from the log ``text``; None if the run succeeded.
+    """Return the error about a failed run from the log ``text``; None if the run succeeded.
 
-    ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient
-    early without a message.
+    ``last`` is the last time point [s] of the run, because ngspice can stop a transient early
+    without a message.
     """
     report, stop = classify_log(text), deck.stop
     reported = report.cause is not None or code != 0
@@ -206,10 +210,10 @@ def find_run_failure(
 
 
 def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
-    """Return the error of a run that simulated another circuit than ``deck``.
+    """Return the error about a run in which ngspice has changed or ignored cards of ``deck``.
 
-    ``text`` is the log. The result is None, with a warning of each alteration, if the deck is
-    trusted or if only displayed values of models were ignored.
+    ``text`` is the log. If the deck is trusted, or if only displayed values of models were ignored,
+    the result is None, and the function prints a warning for each alteration.
     """
     altered = list_alterations(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
@@ -228,53 +232,53 @@ def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None
     return error
 
 
-# Relative distance of equal values of the scale: ngspice sums steps, with a rounding error of 1e-16
-# per step and up to 1e-13 in total.
+# Relative difference of scale values that count as equal. ngspice adds the steps up, with a
+# rounding error of 1e-16 in each step and up to 1e-13 in total.
 SAME_POINT_TOLERANCE = 1e-11
 _BINARY_MARK = b"Binary:\n"
 _PLOT_MARK = b"Title:"
-_MAX_HEADER_BYTES = 1 << 20  # largest size of the header
+_MAX_HEADER_BYTES = 1 << 20  # largest number of bytes of a header
 
 
 class _Plot(NamedTuple):
-    """Plot of a raw file.
+    """Plot (ngspice's term for the vectors of one analysis) in a raw file.
 
-    ``promised`` is the number of points in its header. ``table`` maps the complete points of the
-    file, one in each row. ``left`` bytes follow the complete points. The next plot begins at the
-    byte ``end``.
+    ``declared_points`` is the number of points that the header states. ``table`` contains the
+    complete points in the file, one in each row. ``remaining_bytes`` is the number of bytes after
+    the complete points. The next plot begins at the byte ``end``.
     """
 
     names: tuple[str, ...]
-    promised: int
+    declared_points: int
     table: np.ndarray
-    left: int
+    remaining_bytes: int
     end: int | None
 
     @property
     def finite(self) -> np.ndarray:
-        """Mask of the rows that contain only finite numbers.
+        """Mask of the points (rows) that contain only finite numbers.
 
-        In the first column, the scale, only the real part is used, because ngspice does not
+        Of the scale in the first column, only the real part counts, because ngspice does not
         initialise the imaginary part of a frequency."""
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:
-        """Return the vectors of the first ``points``, the scale as real numbers."""
+        """Return the vectors of the first ``points`` points; the scale is real."""
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
         return dict(zip(self.names, columns, strict=True))
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Read the vectors of ``path`` by their lower-case names, the real scale first.
+    """Read the vectors of a raw file, keyed by lower-case name, the real scale first.
 
-    Plots of the same vectors, as several analyses of one kind write them, are joined: their points
-    are sorted along the scale, and each value of the scale occurs once. Other plots are left out.
+    Several analyses of one kind write plots with the same vectors. These plots are joined: their
+    points are sorted by the scale, and each scale value occurs only once. Other plots are omitted.
 
     Raises
     ------
     SimulationError : the file is missing, empty or truncated, contains more data than its header
-    states, or values are not finite.
+        states, or contains values that are not finite.
     """
     if not path.is_file():
         raise SimulationError("the simulator wrote no raw file", where=str(path))
@@ -290,9 +294,9 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Join the points of several analyses in rising order of their scale.
+    """Join the points of several analyses, sorted by their scale.
 
-    The scale is the first vector.
+    The scale is the first vector of each analysis.
     """
     result = {}
     for name in analyses[0]:
@@ -303,17 +307,17 @@ def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.
 
 
 def _read_plots(path: Path) -> Iterator[_Plot]:
-    """Read every plot of a file, each with all points that its header states."""
+    """Read all plots of a file; each must contain all points that its header states."""
     begin: int | None = 0
     while begin is not None:
         plot = _read_plot(path, begin)
         if plot is None:
             raise _make_corrupt_file_error(path, "its header is cut off")
         points = len(plot.table)
-        if points < 1 or (points, plot.left) != (plot.promised, 0):
+        if points < 1 or (points, plot.remaining_bytes) != (plot.declared_points, 0):
             what = (
-                f"its header states {plot.promised} points, but it contains {points} points "
-                f"and {plot.left} bytes"
+                f"its header states {plot.declared_points} points, but it contains {points} points "
+                f"and {plot.remaining_bytes} bytes"
             )
             raise _make_corrupt_file_error(path, what)
         yield plot
@@ -321,9 +325,9 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
 
 
 def read_partial(path: Path) -> dict[str, np.ndarray] | None:
-    """Read the complete points of an aborted run, up to the first that is not finite.
+    """Read the complete points of an aborted run, up to the first point that is not finite.
 
-    The result is None if there are fewer than two points.
+    The result is None if the file contains fewer than two such points.
     """
     try:
         plot = _read_plot(path)
@@ -334,13 +338,13 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def last_scale_value(path: Path) -> float | None:
-    """Read the scale (time) of the last complete point; None if there is no point."""
+    """Read the time of the last complete point; None if the file contains no point."""
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
 def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
-    """Read the plot from the byte ``begin``, None if its header is not complete.
+    """Read the plot that starts at the byte ``begin``; None if its header is incomplete.
 
     Raises
     ------
@@ -380,12 +384,12 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
 
 
 def _has_next_plot(path: Path, offset: int) -> bool:
-    """Return whether a plot begins at byte ``offset``, as totals follow a noise spectrum."""
+    """Return whether another plot begins at the byte ``offset``."""
     with path.open("rb") as stream:
         stream.seek(offset)
         return stream.read(len(_PLOT_MARK)) == _PLOT_MARK
 
 
 def _make_corrupt_file_error(path: Path, what: str) -> SimulationError:
-    """Return the error of a damaged raw file."""
+    """Return the error about a damaged raw file."""
     return SimulationError(f"the raw file is not complete: {what}", where=str(path))

@@ -1,10 +1,10 @@
-"""Simulation of decks in libngspice inside this process, with Python functions.
+"""Simulation of decks with Python functions, by libngspice inside this process.
 
-The calls follow the chapter of the ngspice manual "Ngspice as shared library".
+The interface is described in the chapter "Ngspice as shared library" of the ngspice manual.
 
-Each :class:`Library` is a private copy of the library. Other users of libngspice in the process
-(PySpice, InSpice) have their own copies. A new copy replaces one with a fatal error. A copy reads
-neither the user's start-up file nor code models.
+Each :class:`NgspiceLibrary` loads a private copy of the library file. Other programs in this
+process that use libngspice, such as PySpice or InSpice, have separate copies. After a fatal error,
+a new copy is loaded. The library reads neither the user's start-up file nor code models.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from kc2spice.sim.output import find_altered_run, find_run_failure, read_raw, re
 
 
 def _make_structure(**fields: Any) -> Any:
-    """Return the class of a C structure with these fields."""
+    """Return the ctypes class of a C structure with these fields."""
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
-# structures vecvalues and vecvaluesall of sharedspice.h
+# The C structures vecvalues and vecvaluesall in sharedspice.h.
 _Value = _make_structure(
     name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool
 )
@@ -55,12 +55,12 @@ _SOURCE = CFUNCTYPE(c_int, POINTER(c_double), c_double, c_char_p, c_int, c_void_
 _SYNC = CFUNCTYPE(c_int, c_double, POINTER(c_double), c_double, c_int, c_int, c_int, c_void_p)
 
 
-_library: Library | None = None
+_library: NgspiceLibrary | None = None
 
 
 @dataclass
 class _Sampler:
-    """Caller of the functions of a deck at their instants; it stores their results."""
+    """Caller of Python functions at their sampling instants, which stores their results."""
 
     sampled: Sequence[SampledSource]
     stop: float
@@ -71,7 +71,7 @@ class _Sampler:
     answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def record_point(self, data: Any, *_: object) -> None:
-        """Call the functions that are due at an accepted time point."""
+        """Call the functions whose sampling instant is an accepted time point."""
         points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
         time = next((point.real for point in points if point.is_scale), 0.0)
         share = min(1.0, time / self.stop)
@@ -86,14 +86,14 @@ class _Sampler:
                 self.answers[item.source] = (due + item.delay, item.call(due, values))
 
     def set_source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
-        """Set the voltage of a source, which changes after the step to its instant."""
+        """Set the voltage of a source; a new value is effective after the step to its instant."""
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
             self.inputs[key] = self.answers.pop(key)[1]
         volts[0] = self.inputs.get(key, 0.0)
 
     def limit_step(self, time: float, step: Any, *_: object) -> None:
-        """Shorten a time step so that it ends at the next instant at the latest."""
+        """Limit a time step so that it does not pass the next instant."""
         for item in self.sampled:
             for shift in (0.0, item.delay):
                 periods = math.floor((time - shift) / item.period + 1 + 1e-9)
@@ -107,19 +107,20 @@ def run_shared(
     sampled: Sequence[SampledSource] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Waveforms:
-    """Run the transient ``deck`` in libngspice and return its results.
+    """Run the transient ``deck`` in libngspice, and return the results.
 
-    The ``sampled`` functions receive the saved node voltages of the deck by their names in ngspice,
-    and set the ``EXTERNAL`` sources that they name. ngspice places a time point at both instants of
-    each function, even if no source of the deck has a breakpoint at these instants.
+    The arguments of the ``sampled`` functions are the time and the saved node voltages, keyed by
+    their names in ngspice. Each function sets an ``EXTERNAL`` source. ngspice has a time point at
+    each sampling instant and at each change of a source, even if no source of the deck has a
+    breakpoint there.
 
     Raises
     ------
-    UsageError : the deck has no end of a transient.
-    MissingToolError : libngspice is not on this machine.
+    UsageError : the deck contains no transient with an end.
+    MissingToolError : libngspice is not installed on this machine.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
         is not trusted; the error contains the waveforms up to the failure.
-    SimulationError : a function failed.
+    SimulationError : a Python function failed.
     """
     if deck.stop is None:
         raise UsageError(
@@ -128,8 +129,8 @@ def run_shared(
             expected="a deck with a .tran line",
         )
     global _library
-    if _library is None or _library.dead:  # ngspice has unloaded the library after a fatal error
-        _library = Library()
+    if _library is None or _library.dead:  # dead after a fatal error
+        _library = NgspiceLibrary()
     library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
@@ -156,9 +157,9 @@ def run_shared(
 
 
 def _flatten_deck(deck: Deck, file: str) -> list[str]:
-    """Return the lines of a file and its includes, without ``.meas`` cards.
+    """Return the lines of a file and of its included files, without ``.meas`` cards.
 
-    The library would evaluate the parameters of these cards before any point exists.
+    The library would evaluate ``.meas`` cards with parameters before any time point exists.
     """
     result: list[str] = []
     measures = False
@@ -172,16 +173,16 @@ def _flatten_deck(deck: Deck, file: str) -> list[str]:
     return result
 
 
-class Library:
-    """One copy of libngspice with one circuit at a time.
+class NgspiceLibrary:
+    """Private copy of libngspice, which simulates one circuit at a time.
 
-    ``log`` is the output of ngspice since :meth:`load`, standard output and error in order.
-    ``dead`` is true after ngspice has requested to be unloaded. ``broken`` is the first exception
-    of a callback, which cannot pass through C.
+    ``log`` contains the lines that ngspice has printed since :meth:`load`. ``dead`` is true after
+    ngspice has requested to be unloaded. ``broken`` is the first exception in a callback, because
+    an exception cannot propagate through C code.
 
     Raises
     ------
-    MissingToolError : libngspice is not on this machine, or cannot be loaded.
+    MissingToolError : libngspice is not installed on this machine, or cannot be loaded.
     """
 
     def __init__(self) -> None:
@@ -190,12 +191,12 @@ class Library:
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
         self._library = _load_private_copy()
-        # ngspice stores these pointers, so they must live as long as this object
+        # ngspice stores the pointers to these callbacks, which must therefore not be deleted
         self._callbacks = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
             _SEND_DATA(self._guard_callback("record_point")),
-            _SEND_INIT(lambda *_: 0),  # without this callback ngspice sends no points
+            _SEND_INIT(lambda *_: 0),  # ngspice sends points only if this callback exists
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
         )
@@ -205,18 +206,18 @@ class Library:
         self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
     def load(self, circuit: Sequence[str]) -> bool:
-        """Load the lines of a deck without includes; return False if ngspice rejects it."""
+        """Load the lines of a deck; return False if ngspice rejects the deck."""
         self.log, self.broken = "", None
         lines = [*map(str.encode, circuit), None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
-        """Run the circuit's analyses with ``loop``; return False if ngspice reports a failure."""
+        """Run the analyses of the circuit; return False if ngspice reports a failure."""
         self._loop = loop
         return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the results of the last analysis under the names of the batch engine."""
+        """Return the vectors of the last analysis, with the same names as in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._command("set filetype=binary")
@@ -224,21 +225,21 @@ class Library:
             return read_raw(raw) if raw.is_file() else {}
 
     def clear(self) -> None:
-        """Remove circuit and results."""
+        """Remove the circuit and its results from the library."""
         for text in ("destroy all", "remcirc"):
             self._command(text)
         self._loop = self.broken = None
 
     def _command(self, text: str) -> bool:
-        """Send a command to ngspice; return whether it succeeded."""
+        """Send a command to ngspice; return whether the command succeeded."""
         return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
 
     # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a callback that calls the loop unless an earlier callback has failed."""
+        """Return a callback that calls the sampler, unless an earlier callback has failed."""
 
-        def guarded(*arguments: Any) -> int:
+        def guarded_callback(*arguments: Any) -> int:
             try:
                 if self._loop is not None and self.broken is None:
                     getattr(self._loop, name)(*arguments)
@@ -246,7 +247,7 @@ class Library:
                 self.broken = error
             return 0
 
-        return guarded
+        return guarded_callback
 
     def _on_text(self, text: bytes, *_: object) -> int:
         """Record a line that ngspice prints."""
@@ -261,7 +262,7 @@ class Library:
 
 
 def _load_private_copy() -> ctypes.CDLL:
-    """Load libngspice from a private copy of its file, with separate global variables."""
+    """Load libngspice from a private copy of its file, so that its globals are separate."""
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(
@@ -272,17 +273,17 @@ def _load_private_copy() -> ctypes.CDLL:
         )
     try:
         plain = ctypes.CDLL(result)
-        # Linux finds the library by its name; a loaded library has a path
+        # find_library returns a name on Linux; a library that is already loaded has a path
         maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)
-        # without a path, the shared library of the system is loaded, without a private copy
+        # if the path is unknown, the library of the system is loaded without a private copy
         if path is None:
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             copy = Path(shutil.copy(path, folder))
             mode = os.RTLD_LOCAL | os.RTLD_NOW | getattr(os, "RTLD_DEEPBIND", 0)
-            # the library is mapped into memory, so the file can be deleted
+            # the loaded library is in memory, so that the file can be deleted
             return ctypes.CDLL(str(copy), mode=mode)
     except OSError as error:
         raise MissingToolError(
@@ -295,7 +296,7 @@ def _load_private_copy() -> ctypes.CDLL:
 
 @contextmanager
 def _hide_start_up_files() -> Iterator[None]:
-    """Place empty start-up files where ngspice finds them first, so that it reads no others."""
+    """Hide the user's start-up files behind empty files that ngspice finds first."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):

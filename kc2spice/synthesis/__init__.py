@@ -1,1 +1,1 @@
-"""Subcircuits of linear models, and the header of all libraries."""
+"""Subcircuits of linear models, and headers of all libraries."""

@@ -1,4 +1,4 @@
-"""Netlist cards of a one-port of parallel branches of R, L and C."""
+"""Netlist cards of a two-terminal network of parallel branches of R, L and C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
-# Current through the leak at the lowest frequency of the band, relative to the current of the part.
+# Current through the leakage resistor at the lowest frequency of the band, relative to the total
+# current of the part.
 LEAK_SHARE = 1e-9
 NETWORK_COMMENT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",
@@ -22,7 +23,7 @@ _LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other dire
 
 
 def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
-    """Return the cards of a network between the pins of the port of its model."""
+    """Return the cards of a network between the two pins of the port of its model."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
     first = plus
@@ -42,9 +43,9 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
 
 
 def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
-    """Yield the elements of a branch from ``plus`` to ``minus``.
+    """Yield the elements of a branch in series from ``plus`` to ``minus``.
 
-    The capacitor is the last one, so that no inner node floats.
+    The capacitor is the last element, so that no inner node floats.
     """
     capacitance = 1 / branch.elastance if branch.elastance > 0 else 0.0
     values = {"R": branch.resistance, "L": branch.inductance, "C": capacitance}
@@ -57,7 +58,7 @@ def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -
 
 
 def _describe_branch(branch: CircuitBranch) -> str:
-    """Return the kind of a branch with its frequency or time constant."""
+    """Describe the kind of a branch with its frequency or time constant."""
     R, L, S = branch.resistance, branch.inductance, branch.elastance
     if L > 0 and S > 0:
         omega = float(np.sqrt(S / L))

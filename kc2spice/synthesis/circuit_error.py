@@ -1,9 +1,10 @@
-"""Error of an emitted subcircuit, from its response and the response of its model.
+"""Error of a written subcircuit: difference of its response from the model's response.
 
-The circuit is the tree of the library's own text, solved by nodal analysis
-(:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
-resonance with its flanks, and again where the error is largest. The error estimate of a library is
-the sum of the error estimate of its model and this error.
+The text of the library is parsed, and its circuit is solved by nodal analysis
+(:mod:`kc2spice.netlist.nodal`). The frequencies are the lowest frequency of the model's band, a
+grid over the band, every resonance with its flanks, and further frequencies near the largest
+errors. The error estimate of a library is the error estimate of its model plus this error of the
+circuit.
 """
 
 from __future__ import annotations
@@ -24,27 +25,28 @@ from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
 from kc2spice.synthesis.heat import is_heat_model
 
-# m per volt of a displacement pin; a charge node has the same value in C
+# m for 1 V on a displacement pin, and C for 1 V on a node of a charge
 MICRO = TRANSLATION.across.factor
-LOWEST_FREQUENCY_RATIO = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
-GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
-POINTS_PER_DECADE = 3  # points of each decade below these grids
-FLANK_HALF_WIDTHS = (0.0, 1.0)  # distance of frequencies from a resonance, in half-widths
-# number of refined neighbourhoods of the largest errors, and frequencies in each
+LOWEST_FREQUENCY_RATIO = 1e-6  # lowest evaluated frequency of a band from zero, relative to its end
+GRID_POINTS = 40  # number of points of each grid, linear and logarithmic
+POINTS_PER_DECADE = 3  # points per decade below both grids
+FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of frequencies from a resonance, in half-widths
+# Number of the largest errors near which frequencies are added, and number of frequencies near
+# each.
 REFINED_PEAKS = 4
 PEAK_FREQUENCIES = 9
-MAX_WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
-MIN_FREQUENCIES = 24  # frequencies of the largest circuits
-# share of a tolerance that is negligible, because estimates have two digits
+MAX_WORK = 4e8  # largest product of squared unknowns and frequencies
+MIN_FREQUENCIES = 24  # number of frequencies for the largest circuits
+# Errors below this share of a tolerance are negligible, because estimates have two digits.
 NEGLIGIBLE_SHARE = 0.01
-# number of random roundings of the matrices; ratio between the extremes of their effects
+# Number of random roundings of the matrices, and accepted ratio of the extremes of their effects.
 PERTURBATION_COUNT = 4
 PERTURBATION_SPREAD = 10.0
 
 
 @dataclass(frozen=True)
 class CircuitError:
-    """The largest relative error of a circuit, and the frequency [Hz] of this error."""
+    """Largest relative error of a circuit, and the frequency [Hz] of this error."""
 
     error: float
     frequency: float = 0.0
@@ -58,25 +60,25 @@ def estimate_circuit_error(
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
 ) -> CircuitError:
-    """Return the largest difference between a subcircuit and its model.
+    """Estimate the largest difference between a subcircuit and its model.
 
     The difference of the responses is relative in the ``norm`` of a
-    :class:`kc2spice.rom.linear_model.Certificate`. The ports are loaded as in
-    :func:`kc2spice.synthesis.realize.apply_unit_load`. For an acceleration port, the force that
-    its pin draws is compared.
+    :class:`kc2spice.rom.linear_model.Certificate`. The ports have the loads of
+    :func:`kc2spice.synthesis.realize.apply_unit_load`. The compared response of an acceleration
+    port is the force into its pin.
 
     Parameters
     ----------
     circuit, pins : the tree of the subcircuit and its pins.
-    model : model of the circuit, at these ``values`` of the netlist's parameters.
+    model : model of the circuit if the netlist's parameters have the values in ``values``.
     band : lowest and highest frequency [Hz].
     """
-    emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
+    circuit_response = CircuitResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
     exact = (DirectResponse if is_heat_model(model) else Response)(model.pencil.dense())
-    frequency = _select_frequencies(exact, band, emitted.unknowns)
-    relative = _RelativeError(emitted, exact, norm)
+    frequency = _select_frequencies(exact, band, circuit_response.unknowns)
+    relative = _RelativeError(circuit_response, exact, norm)
     error = relative(frequency)
-    if emitted.unknowns**2 * len(frequency) < MAX_WORK:
+    if circuit_response.unknowns**2 * len(frequency) < MAX_WORK:
         top = np.argsort(error)[-REFINED_PEAKS:]
         low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(frequency) - 1)
         near = np.unique(np.linspace(frequency[low], frequency[high], PEAK_FREQUENCIES))
@@ -86,8 +88,8 @@ def estimate_circuit_error(
     return CircuitError(float(error[worst]), float(frequency[worst]))
 
 
-class EmittedResponse:
-    """Response of a subcircuit under unit loads, in SI units, by nodal analysis."""
+class CircuitResponse:
+    """Response of a subcircuit to unit loads in SI units, by nodal analysis."""
 
     def __init__(
         self,
@@ -110,7 +112,7 @@ class EmittedResponse:
 
     @property
     def unknowns(self) -> int:
-        """Number of the equations."""
+        """Number of the circuit's nodal equations."""
         return len(self.equations.rows)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
@@ -131,9 +133,10 @@ class EmittedResponse:
         return H
 
     def convert_to_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        """Convert the response ``H`` of the model to the quantities at the pins.
+        """Convert the response ``H`` of the model to the quantities at the subcircuit's pins.
 
-        At the pin of an accelerated frame it is the force ``m a - y''`` instead of y.
+        At an acceleration pin, the quantity is the force ``m a - y''`` with the output y of the
+        model.
         """
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
@@ -145,12 +148,12 @@ class EmittedResponse:
 
 
 def accelerates_frame(port: Port) -> bool:
-    """Whether the port accelerates the frame of the body."""
+    """Return whether the port is the acceleration of the frame of the body."""
     return port.domain is ACCELERATION
 
 
 def _unit_load(port: Port) -> dict[str, float]:
-    """Return the source of a unit load at a port."""
+    """Return the unit load at a port: the value, keyed by node or by name of a source."""
     node = port.terminals[0].lower()
     unit = port.domain.quantity(port.domain.input_side).per_unit if port.domain else 1.0
     return {node if port.loaded else f"i(held_{node})": unit}
@@ -168,8 +171,9 @@ def _model_mass(model: LinearModel, port: Port) -> float:
 def reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
-    The result is the fact ``mass_kg`` of the model. If the model lacks this fact, the mass follows
-    from the states: ``y'' = C A B a`` at high frequencies.
+    The result is the value ``mass_kg`` of the model. If the model does not state its mass, the
+    result follows from the matrices: at high frequencies, ``y'' = C A B a`` with the acceleration
+    a.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -182,10 +186,10 @@ def reaction_mass(model: LinearModel, port: Port) -> float:
 class _RelativeError:
     """Relative errors (frequencies,) of a circuit at frequencies [Hz].
 
-    The first call sets the peaks to which later errors are relative.
+    The first call determines the peaks of the response, to which later errors are relative.
     """
 
-    emitted: EmittedResponse
+    circuit_response: CircuitResponse
     exact: Response
     norm: Norm
     entries: Entries | None = None
@@ -196,21 +200,21 @@ class _RelativeError:
         s = 2j * np.pi * frequency
         with np.errstate(all="ignore"):
             H = self.exact.transfer(s)
-        expected = self.emitted.convert_to_pins(H, frequency)
+        expected = self.circuit_response.convert_to_pins(H, frequency)
         if self.entries is None:
-            framed = list(map(accelerates_frame, self.emitted.rows))
+            framed = list(map(accelerates_frame, self.circuit_response.rows))
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)
         share = get_reference_share(self.norm)
         apart = self.entries.relative_sizes(
-            self.emitted.transfer(frequency) - expected, expected, share
+            self.circuit_response.transfer(frequency) - expected, expected, share
         )
         return np.asarray(apart.max(axis=(1, 2)))
 
 
 def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
-    """Return frequencies [Hz] over the whole band, its ends included."""
+    """Return frequencies [Hz] over the whole band, including both ends of the band."""
     low, high = band[0] or LOWEST_FREQUENCY_RATIO * band[1], band[1]
     start = max(low, 1e-4 * high)
     below = np.geomspace(low, start, max(2, round(POINTS_PER_DECADE * np.log10(start / low)) + 1))
@@ -225,10 +229,10 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
 
 
 def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Raise an error if the emitted circuit misses the tolerance of its model.
+    """Raise an error if the circuit of a part does not have the tolerance of its model.
 
-    If rounding of the matrices changes the response by as much as the circuit does, no circuit is
-    better, and the function only warns.
+    If rounding of the matrices changes the response by as much as the error of the circuit, no
+    better circuit is possible, and the function only prints a warning.
 
     Raises
     ------
@@ -259,10 +263,10 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
 
 
 def rounding_effect(model: LinearModel, frequency: float) -> float:
-    """Return the relative change of a response due to rounded matrices.
+    """Return the relative change of a response if the matrices are rounded.
 
-    The result is the largest change of any entry in :data:`PERTURBATION_COUNT` random roundings of
-    the matrices.
+    The result is the largest change of any entry of the response, over :data:`PERTURBATION_COUNT`
+    random roundings of the matrices.
     """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps
@@ -270,7 +274,7 @@ def rounding_effect(model: LinearModel, frequency: float) -> float:
     def round_matrix(matrix: np.ndarray) -> np.ndarray:
         """Return a matrix with randomly rounded entries."""
         change = random.choice([-unit, unit], size=matrix.shape)
-        return np.asarray(matrix * (1 + (change + change.T) / 2))  # preserves symmetry
+        return np.asarray(matrix * (1 + (change + change.T) / 2))  # remains symmetric
 
     pencil = model.pencil.dense()
     others = []

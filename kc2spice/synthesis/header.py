@@ -1,4 +1,4 @@
-"""Headers of all libraries, and libraries of parts whose cards are templates.
+"""Headers of all libraries, and libraries of parts whose cards are in templates.
 
 A header states the origin of a library and the meaning of each pin and parameter.
 """
@@ -42,7 +42,7 @@ OUTWARDS_TEXT = (
 
 
 def wrap_comment(text: str) -> list[str]:
-    """Wrap a text into comment lines; all lines after the first are indented."""
+    """Wrap a text into comment lines; all lines after the first one are indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(format_comment(text), 96, subsequent_indent="  ", **words)
     return list(map("* {}".format, lines))
@@ -51,8 +51,8 @@ def wrap_comment(text: str) -> list[str]:
 def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines about a reduced model and its error estimate.
 
-    The lines also give the error of the emitted circuit and the errors above the band. The lines
-    state stability and passivity if one of the two is not proven.
+    The lines also state the error of the circuit and the errors above the band, and whether
+    stability and passivity are proven unless both are.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
@@ -66,7 +66,7 @@ def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple
 
 
 def mesh_comment(facts: Mapping[str, float]) -> str:
-    """Return the error estimate of the mesh, or the reason why it is missing."""
+    """Return a comment with the error estimate of the mesh, or the reason for its absence."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
@@ -84,12 +84,13 @@ def part_header(
     mesh: str = "",
     heat: str = "",
 ) -> tuple[str, ...]:
-    """Return all comment lines above ``.subckt``.
+    """Return the header of a part: all comment lines above its ``.subckt``.
 
-    The lines are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
-    validity and rating follow, then one line for each pin and each parameter. ``title`` is ``NAME:
-    DESCRIPTION``. ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with
-    mechanical pins. ``heat`` describes the heat pins.
+    The header consists of the title, an instance card to copy, the origin, comments about a reduced
+    model (``rom``) and the mesh, the sign convention, validity and rating, and one line for each
+    pin and each parameter. ``title`` is ``NAME: DESCRIPTION``. ``mesh`` describes the error
+    estimate of the mesh. ``sign`` is for parts with mechanical pins. ``heat`` describes the heat
+    pins.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)
@@ -116,7 +117,7 @@ def netlist_pins(port: Port) -> tuple[Pin, ...]:
 
 
 def parameter_defaults_of(params: Iterable[Param]) -> dict[str, str]:
-    """Return the defaults of parameters by name, as on a ``.subckt`` card."""
+    """Return the default values of parameters, keyed by name, as on a ``.subckt`` card."""
     return {require_name(p.name): format_number(p.default) for p in params}
 
 
@@ -133,10 +134,10 @@ def render_library(
     mesh: str = "",
     **values: object,
 ) -> Subcircuit:
-    """Return the library of ``templates/TEMPLATE.j2`` with its header (:func:`part_header`).
+    """Return the text of the library from ``templates/TEMPLATE.j2``, with a header.
 
-    Besides ``values`` the template has the ``card`` behind ``.subckt``: name, pins and parameters
-    with their defaults.
+    The header is made by :func:`part_header`. The template can use the ``values``, and the text
+    ``card`` with the name, the pins and the parameters with default values on the ``.subckt`` card.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     settings = map("=".join, parameter_defaults_of(params).items())
@@ -148,4 +149,4 @@ def render_library(
     circuit = replace(circuit, notes=(*head, "", *circuit.notes))
     title = format_comment(f"{name}: {title}")
     tree = Circuit(items=(circuit,))
-    return Subcircuit(name, pins, params, tree, title=title, head_lines=len(head))
+    return Subcircuit(name, pins, params, tree, title=title, header_lines=len(head))

@@ -1,16 +1,17 @@
 """Subcircuits of heat models: resistors, capacitors and ideal transformers.
 
 The model is ``E x' + K x = B q``, ``T = B' x + D q``. E and K are symmetric without negative
-eigenvalues. The modes are
+eigenvalues. In coordinates h of the modes, the model is
 
     C_j h_j' + h_j / R_j = sum_k a_kj q_k,    T_k = sum_j a_kj h_j + sum_l D_kl q_l
 
 with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [K] over the pin
-``ambient``. Every mode is a thermal resistance R_j in parallel with a heat capacity C_j, and its
-largest ``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors
-a_kj act in both directions, as in ideal transformers. The circuit therefore is passive for all
-positive R_j and C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` is
-a ladder: Cauer's form. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+``ambient``. Every mode j is a thermal resistance R_j in parallel with a heat capacity C_j. The
+largest ``|a_kj|`` of a mode is one. For a model with one port, the modes are connected in series
+(Foster's form). The factors a_kj multiply heat flows and temperatures, as in ideal transformers.
+The circuit is therefore passive for all positive R_j and C_j. A model with the matrices of
+:class:`kc2spice.rom.heat_network.HeatLadder` becomes a ladder (Cauer's form). (E. Kuh and R.
+Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
-# relative eigenvalue that counts as zero: heat that no path conducts away
+# Relative eigenvalue of K that counts as zero. No path conducts the heat of such a mode away.
 ZERO_EIGENVALUE = 1e-13
-# time constant, relative to the largest one, that counts as zero: no heat capacity
+# Time constant, relative to the largest time constant, that counts as zero. Such a mode has no heat
+# capacity.
 ZERO_TIME = 1e-14
-ZERO_SHARE = 1e-9  # share of a mode at every port, relative to the largest, that counts as zero
+ZERO_SHARE = 1e-9  # share of a mode at all ports, relative to the largest, that counts as 0
 _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
@@ -55,9 +57,10 @@ _STORED_COMMENT = "no path removes its heat; the leak gives it an operating poin
 class HeatModes:
     """Modes of a heat model.
 
-    ``resistance`` [K/W] and ``capacity`` [J/K] (modes,) are thermal. ``share`` (modes, ports) is
-    the contribution of the temperature of the mode to the temperature of the port. ``direct``
-    (ports, ports) [K/W] are resistances without a heat capacity.
+    ``resistance`` [K/W] and ``capacity`` [J/K] (modes,) are the thermal resistance and the heat
+    capacity of each mode. ``share`` (modes, ports) is the factor from the temperature of a mode to
+    its contribution at a port. ``direct`` (ports, ports) [K/W] is the resistance matrix of the part
+    of the model without heat capacity.
     """
 
     resistance: np.ndarray
@@ -68,10 +71,11 @@ class HeatModes:
 
 
 def estimate_leak_share(model: LinearModel) -> float:
-    """Return the relative error of temperatures due to the leak of a body that loses no heat.
+    """Return the relative error of temperatures due to the leak of an insulated body.
 
-    With one port at a prescribed temperature, the leak ``C LEAK_RATE`` takes this share of the heat
-    that flows between two ports with the thermal resistance R: ``R C LEAK_RATE``.
+    In the netlist of a body without a heat path, each heat capacity C has the leakage conductance
+    ``C LEAK_RATE``. If one port has a prescribed temperature, and the thermal resistance to another
+    port is R, the leak takes the share ``R C LEAK_RATE`` of the heat flow.
     """
     K, E = model.pencil.dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))
@@ -86,16 +90,16 @@ def estimate_leak_share(model: LinearModel) -> float:
 
 
 def is_heat_model(model: LinearModel) -> bool:
-    """Whether the ports of a model exchange heat."""
+    """Return whether the ports of a model exchange heat."""
     return THERMAL in map(attrgetter("domain"), model.ports)
 
 
 def compute_heat_modes(model: LinearModel) -> HeatModes:
-    """Return the modes of a heat model that a port excites, slowest first.
+    """Return those modes of a heat model that a port excites, slowest mode first.
 
-    The modes solve ``E x = t K x`` with the time constants t. Their static contributions determine
-    a steady-state network. If K is singular, no path removes the heat of some modes, and a leak
-    replaces the resistance of these modes.
+    The mode shapes x satisfy ``E x = t K x`` with the time constants t. If K is singular, no path
+    conducts the heat of some modes away. The resistance of these modes is then the resistance of a
+    leak.
 
     Raises
     ------
@@ -119,9 +123,10 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 
 
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return time constants (modes,) and shapes (states, modes) of all modes, slowest first.
+    """Return time constants (modes,) and shapes (states, modes) of all modes.
 
-    The resistance of each shape is 1 K/W. See :func:`compute_heat_modes`.
+    The slowest mode is the first one. The shapes are scaled so that the thermal resistance of each
+    mode is 1 K/W. See :func:`compute_heat_modes`.
 
     Raises
     ------
@@ -139,7 +144,7 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
         raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
     shapes = conducted
-    for _ in range(2):  # the second time orthonormal to rounding, even if K is almost singular
+    for _ in range(2):  # twice, for orthonormal shapes even if K is almost singular
         times, turned = scipy.linalg.eigh(shapes.T @ E @ shapes, shapes.T @ K @ shapes)
         shapes = shapes @ turned
     times = np.where(times > ZERO_TIME * times.max(initial=0.0), times, 0.0)
@@ -152,9 +157,10 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def diagonalise_heat_model(model: LinearModel) -> LinearModel:
-    """Return a heat model in modal coordinates, as in its netlist.
+    """Return a heat model in the coordinates of its modes, as in its netlist.
 
-    Rates that differ by many orders of magnitude do not round each other in diagonal matrices.
+    In diagonal matrices, rates that differ by many orders of magnitude cause no rounding errors in
+    each other.
     """
     modes = compute_heat_modes(model)
     return replace(
@@ -173,10 +179,10 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Separate temperatures without a heat path from all others.
+    """Separate the temperatures without a heat path from all other temperatures.
 
-    The results are two bases: the null space N of K, and its complement that is orthogonal with
-    respect to E, so that the modes of both are independent.
+    The results are two bases: the null space of K, and the complement of the null space that is
+    orthogonal with respect to E. The modes in both subspaces are therefore independent.
     """
     scale = np.sqrt(np.maximum(np.diag(K), 0.0))
     scale = 1 / np.where(scale > 0, scale, 1.0)
@@ -204,9 +210,10 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
 
 
 def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
-    """Return comments about the network of a model, and its cards between its ports and ``base``.
+    """Return the cards of a heat model between its ports and ``base``, with comments.
 
-    The network is a ladder if the model has the matrices of a ladder, and otherwise the modes.
+    The network is a ladder if the model has the matrices of a ladder; otherwise it consists of
+    modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = find_heat_ladder(model)
@@ -219,7 +226,7 @@ def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
 
 
 def _ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Line]:
-    """Yield the cards of Cauer's form from a pin to ``base``."""
+    """Yield the cards of a ladder (Cauer's form) from a pin to ``base``."""
     node, count = pin, len(ladder.capacity)
     if ladder.direct > 0:
         yield f"\n* Resistance in front of all heat capacities: {ladder.direct:.4g} K/W"
@@ -251,7 +258,7 @@ def _mode_elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[
 
 
 def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of Foster's form of one port."""
+    """Yield the cards of modes in series (Foster's form) at the only port."""
     node, count = modes.ports[0].terminals[0], len(modes.resistance)
     if (direct := float(modes.direct[0, 0])) > 0:
         yield f"\n* Resistance without a heat capacity: {direct:.4g} K/W"
@@ -274,7 +281,7 @@ def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of ports, whose temperatures are sums of the temperatures of the modes."""
+    """Yield the cards that sum the temperatures of the modes at each port."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."
@@ -290,7 +297,7 @@ def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def heat_flow_cards(modes: HeatModes, j: int, base: str) -> Iterator[Line]:
-    """Yield the sources of the heat flow into a mode from each port."""
+    """Yield the sources of the heat flows from each port into a mode."""
     for port, share in zip(modes.ports, modes.share[j], strict=True):
         pin = port.terminals[0]
         yield Element.of(f"Gq{pin}_{j + 1}", base, f"h{j + 1}", f"f{pin}", base, float(share))

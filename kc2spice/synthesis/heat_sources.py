@@ -1,9 +1,10 @@
-"""Cards of the heat that the losses of a model of resonators give off.
+"""Netlist cards of the heat flow from the losses of a model of resonators.
 
-The mode ``m z'' + d z' + w^2 z = sum_k g_k u_k`` loses the power ``d z'^2`` [W]. A netlist of modes
-has ``z'`` as a voltage if the mode has inertia. Otherwise ``z' = (sum_k g_k u_k - w^2 z) / d``.
-These relaxations include the dielectric loss of :func:`kc2spice.rom.modal.add_dielectric_loss`.
-Input are the modes of :mod:`kc2spice.synthesis.mode_cards`, output are sources of heat flow.
+A mode with the equation ``m z'' + d z' + w^2 z = sum_k g_k u_k`` dissipates the power ``d z'^2``
+[W]. In the netlist, the rate ``z'`` of a mode with inertia is a voltage. A mode without inertia is
+a relaxation, whose rate is ``z' = (sum_k g_k u_k - w^2 z) / d``. The dielectric loss of
+:func:`kc2spice.rom.modal.add_dielectric_loss` consists of relaxations. The input is the modes of
+:mod:`kc2spice.synthesis.mode_cards`, the output are sources of heat flows.
 """
 
 from __future__ import annotations
@@ -15,33 +16,33 @@ from kc2spice.netlist.circuit import Element, Pin
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import format_number
 
-LOSS_NODE = "losses"  # inner node at which all heat flows are added
-METER = "Vheat"  # current into the heat pin
+LOSS_NODE = "losses"  # inner node at which all heat flows meet
+METER = "Vheat"  # 0 V source that measures the flow into the heat pin
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
 _COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
-_LEAST_DAMPING = "1p"  # smallest divisor, which prevents a division by zero
+_LEAST_DAMPING = "1p"  # smallest divisor
 
 
 def meter_cards() -> Iterator[Line]:
-    """Yield the meter of the heat pin, through which all heat flows pass."""
+    """Yield the ammeter of the heat pin, through which all heat flows pass."""
     yield from _COMMENT
     yield Element.of(METER, HEAT, LOSS_NODE, "0")
 
 
 def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
-    """Return the heat flow of a mode with inertia.
+    """Return the source of the heat flow from a mode with inertia.
 
     Parameters
     ----------
     index : int
         Number of the mode.
     velocity : tuple of str
-        Nodes between which the voltage is its velocity.
+        Nodes between which the voltage is the velocity of the mode.
     power : float
-        Power [W] at 1 V and a parameter ``damping`` of one.
+        Power [W] at a voltage of 1 V, if the parameter ``damping`` is one.
 
     Examples
     --------
@@ -55,18 +56,18 @@ def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Ele
 def relaxing_loss_card(
     index: int, drives: Sequence[tuple[float, str, str]], node: tuple[str, str], power: float
 ) -> Element:
-    """Return the heat flow of a state without inertia.
+    """Return the source of the heat flow from a state without inertia.
 
     Parameters
     ----------
     index : int
         Number of the state.
     drives : sequence of tuple
-        Factors of the voltages that drive the state, and the nodes of these voltages.
+        Factor and the two nodes of each voltage that drives the state.
     node : tuple of str
         Nodes between which the voltage is the state.
     power : float
-        Power [W] at 1 V between the drive and the state, and a parameter ``damping`` of one.
+        Power [W] at 1 V between the drive and the state, if the parameter ``damping`` is one.
 
     Examples
     --------
@@ -80,5 +81,8 @@ def relaxing_loss_card(
 
 
 def heat_source(tag: int | str, law: str) -> Element:
-    """Return the source of a heat flow [W] by its ``law``; ``tag`` ends its name."""
+    """Return the source of a heat flow [W] with the expression ``law``.
+
+    The name of the source ends with ``tag``.
+    """
     return Element.behaviour(f"Bheat{tag}", AMBIENT, LOSS_NODE, "I", law)

@@ -1,4 +1,4 @@
-"""Cards of decoupled resonators, and of the losses in them."""
+"""Netlist cards of decoupled resonators, and of the heat from their losses."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
-from kc2spice.netlist.prefixes import abbreviate
+from kc2spice.netlist.prefixes import abbreviate_number
 from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators
-from kc2spice.synthesis.emitted import MICRO
+from kc2spice.synthesis.circuit_error import MICRO
 from kc2spice.synthesis.heat_sources import meter_cards, moving_loss_card, relaxing_loss_card
 from kc2spice.synthesis.terminals import (
     OUTWARDS_COMMENT,
@@ -36,25 +36,27 @@ if TYPE_CHECKING:
     pass
 
 
-# F, of a state of a fast mode; one chgtol then corresponds to one tolerance of displacement
+# F, of a state of a fast mode; converts chgtol to a tolerance of displacement
 STATE_CAPACITANCE = 1e-6
-STATE_CONDUCTANCE = 1.0  # S, of a massless mode; its capacitance is its relaxation time
-EQUAL_GAIN = 1e-6  # largest relative difference of equal gains of ports
-# Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) does not choose
-# diagonal pivots at an operating point in q and q'/w. It then has 80 times as many fill-ins for 178
-# modes and is 100 times slower (tests/spice/test_realize.py counts them).
+STATE_CONDUCTANCE = 1.0  # S, of a massless mode
+EQUAL_GAIN = 1e-6  # largest relative difference of gains that count as equal
+# Value of 1 / Q of a mode below which the states are q and q + q'/w. With the states q and q'/w,
+# ngspice (pivrel 1e-3) would not choose diagonal pivots at an operating point. For 178 modes, the
+# factors would then have 80 times as many fill-ins, and the solution would take 100 times as long
+# (tests/spice/test_realize.py counts the fill-ins).
 LIGHT_DAMPING = 1e-3
-NEGLIGIBLE_GAIN = 1e-9  # share of a mode at every port, relative to the largest, that is negligible
+NEGLIGIBLE_GAIN = 1e-9  # negligible share of a mode at all ports, relative to the largest
 
 
 @dataclass(frozen=True)
 class StepWeights:
-    """Weights of the modes of a body in time step control.
+    """Weights of the modes of a body in the simulator's control of time steps.
 
-    Step control limits the error of charge, which represents an error of motion. A mode at
-    ``full`` times the lowest frequency has a capacitor of 1 uF. The capacitors of slower modes are
-    smaller by the ``power`` of their frequency. A ``share`` of the clamped capacitance is a
-    capacitor, whose charge includes the charge of the modes.
+    Step control limits the error of the charge of each capacitor, which represents an error of
+    motion. A mode at or above ``full`` times the lowest frequency has a capacitor of 1 uF. The
+    capacitance of a slower mode is smaller in proportion to its frequency raised to ``power``.
+    ``share`` is the share of the clamped capacitance that is a capacitor with the charge of the
+    modes.
     """
 
     full: float
@@ -66,11 +68,12 @@ class StepWeights:
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-# weights for scenes in which the ringing of the body is a result
+# Weights for scenes in which the ringing of the body is a result.
 RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
-# weights for scenes with a throw: fewer time points with the same launch velocity
+# Weights for scenes with a throw. Fewer time points give the same launch velocity.
 THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
-# weights for scenes in which only the motion of thrown parts matters: half the time points
+# Weights for scenes in which only the motion of thrown parts matters, with half as many time
+# points.
 COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
 _RESONATORS_COMMENT = """\
 * Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
@@ -97,27 +100,28 @@ def write_resonators(
     weights: StepWeights,
     noise: bool,
 ) -> tuple[list[str], list[Line]]:
-    """Return comments and cards of the resonators in modal coordinates.
+    """Return the cards of the resonators in modal coordinates, with comments.
 
-    With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
-    mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
-    model without mechanical ports, in uC)::
+    Mode j has the equation ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k``. With the largest gain
+    ``s_j = max_k |g_jk|`` at the mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j =
+    q_j' / w_j`` in um. In a model without mechanical ports, the states are in uC. The cards
+    represent the equations::
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or by other ``weights``. Step control limits the error
-    of charge, which is ``C`` times the error of displacement. Slow modes have little influence on
-    a contact, but ring long after it.
-    With a damping below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode_cards`.
-    A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
-    ``C = G d / w^2``.
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)``, or with a capacitance by other ``weights``. Step
+    control limits the error of the charge, which is ``C`` times the error of displacement. The
+    capacitances of slow modes are small, because slow modes have little influence on a contact, but
+    ring long after it. With 1 / Q below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see
+    :func:`_mode_cards`. A mode without inertia has only the state q with ``C q' = -G q + (G s /
+    w^2) sum_k g_k u_k`` and ``C = G d / w^2``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
     heavy = model.inertia[order] > 0
     scale = scale_modes(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
-    turn = omega * heavy  # modes with inertia; the other states need no velocity node
+    turn = omega * heavy  # modes with inertia; other modes have no velocity node
     light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
     rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
     qq, qp, pq, pp = map(np.diag, rates)
@@ -141,7 +145,7 @@ def write_resonators(
     body: list[Line] = []
     stored = []
     for t in map(laws.connect_output, terminals):
-        stored.append(replace(t, sums=()) if t.clamped else t)  # the modes add their charge below
+        stored.append(replace(t, sums=()) if t.clamped else t)  # charge is added below
     body += port_lines(stored, base, weights.share)
     for j in range(len(order)):
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
@@ -165,11 +169,11 @@ def write_resonators(
 
 
 def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the meter and the heat flows of all modes with losses.
+    """Yield the ammeter of the heat pin, and the heat flows of all modes with losses.
 
-    In the symbols of :func:`write_resonators` a mode with inertia has the velocity ``z' = w p / s``
-    and loses ``d z'^2``. A state without inertia loses ``(w^2 / s)^2 (f - q)^2 / d`` with the drive
-    ``f = (s / w^2) sum_k g_k u_k``.
+    The symbols are defined in :func:`write_resonators`. A mode with inertia has the velocity ``z' =
+    w p / s`` and dissipates ``d z'^2``. A mode without inertia dissipates ``(w^2 / s)^2 (f - q)^2 /
+    d`` with the drive ``f = (s / w^2) sum_k g_k u_k``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
@@ -211,8 +215,8 @@ def _describe_resonators(
 def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Yield the two integrators of one mode.
 
-    With a damping below :data:`LIGHT_DAMPING` the second state is ``p = q + q' / w``. The voltage
-    from p to q is then the velocity.
+    With 1 / Q below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``, so that the
+    voltage from p to q is the velocity.
     """
     q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
     light = damp < LIGHT_DAMPING * omega
@@ -230,7 +234,7 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
 def describe_mode(omega: float, damp: float) -> str:
     """Describe the frequency and the Q factor of a mode for a comment.
 
-    ``omega`` is its angular frequency [rad/s], ``damp`` its damping [1/s].
+    ``omega`` is the angular frequency [rad/s] of the mode, ``damp`` its damping [1/s].
 
     Examples
     --------
@@ -250,12 +254,13 @@ def describe_branch(
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Describe the circuit elements equal to a mode at a port; empty if there are none.
+    """Describe the equivalent circuit elements of a mode at a port; may be empty.
 
-    The mode is ``z'' + damp z' + omega^2 z = g v`` with the charge ``g z``. At an electrical port
-    it is L = 1/g^2, R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port it is the mass
-    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. ``gains`` are the gains of
-    all modes: a gain far below the largest is a rounding error.
+    The mode has the equation ``z'' + damp z' + omega^2 z = g v``, and the charge or displacement
+    ``g z`` at the port. At an electrical port, the mode is equivalent to L = 1/g^2, R = damp/g^2
+    and C = g^2/omega^2 in series. At a mechanical port, it is equivalent to the mass m = 1/g^2, the
+    damper c = damp/g^2 and the spring k = omega^2/g^2. The text is empty if the gain is a rounding
+    error, far below the largest of the ``gains`` of all modes.
     """
     size = np.abs(gain)
     size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
@@ -266,9 +271,11 @@ def describe_branch(
         port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN)))
         m, c, k = map(float, np.array([1.0, damp, omega**2]) / shares[port] ** 2)
         if ELECTRICAL in domains:
-            elements = f"L={abbreviate(m)} C={abbreviate(1 / k)} R={abbreviate(c)}"
+            elements = (
+                f"L={abbreviate_number(m)} C={abbreviate_number(1 / k)} R={abbreviate_number(c)}"
+            )
         else:
-            elements = f"m={abbreviate(m)} c={abbreviate(c)} k={abbreviate(k)}"
+            elements = f"m={abbreviate_number(m)} c={abbreviate_number(c)} k={abbreviate_number(k)}"
         return f", {elements} at {terminals[port].pins[0]}"
     return ""
 
@@ -285,7 +292,7 @@ def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterat
 
 
 def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
-    """Return the largest share (q,) of each mode in a displacement, or in any port."""
+    """Return the largest gain (q,) of each mode at displacement ports, or at all ports."""
     mechanical = [t.port.domain is TRANSLATION for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
@@ -298,7 +305,7 @@ def drive_mode(
     terminals: Sequence[PortTerminal],
     base: str,
 ) -> list[Transconductance]:
-    """Return the sources by which ports drive a mode: forces, voltages, accelerations."""
+    """Return the sources with which forces, voltages and accelerations drive a mode."""
     result = []
     for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
         suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
@@ -307,9 +314,9 @@ def drive_mode(
 
 
 def order_observable_modes(model: Resonators) -> np.ndarray:
-    """Return the indices of observable modes by frequency, without inertia last.
+    """Return the indices of observable modes by frequency; modes without inertia are last.
 
-    A mode that no port moves or observes is a rounding error.
+    Modes that no port drives or observes are rounding errors and are omitted.
     """
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny

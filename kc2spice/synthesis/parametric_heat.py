@@ -1,14 +1,15 @@
-"""Heat networks that depend on parameters, as one subcircuit with these parameters.
+"""Subcircuits of heat networks that depend on parameters of the subcircuit.
 
-The modes are those at the defaults of the parameters (:mod:`kc2spice.synthesis.heat`). With the
-factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices in the coordinates of the modes
-are
+The coordinates are the modes (:mod:`kc2spice.synthesis.heat`) at the default values p_0 of the
+parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices in these
+coordinates are
 
     K(p) = diag(1 / R) + sum_t (f_t(p) - f_t(p_0)) K_t,    E(p) = diag(C) + sum_t (...) E_t.
 
-Each difference is one ``.param`` card. The diagonals are resistors and capacitors, and the other
-entries are sources and capacitors between the modes. K and E have no negative eigenvalue at any
-positive value of the parameters, so that the circuit is passive.
+Each difference of factors is one ``.param`` card. Diagonal entries of the matrices are resistors
+and capacitors of the modes. All other entries are sources and capacitors between modes. For all
+positive values of the parameters, K and E have no negative eigenvalue, so that the circuit is
+passive.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ from kc2spice.synthesis.parameter_ranges import (
     range_stops,
     sample_range,
 )
-from kc2spice.synthesis.realize import UNRATED, heat_pins, heat_words, make_subcircuit
+from kc2spice.synthesis.realize import UNRATED, heat_header_texts, heat_pins, make_subcircuit
 
-# Names that the subcircuit uses for its own parameters.
+# Pattern of the names of internal parameters of the subcircuit.
 RESERVED_BY_HEAT = r"change\d+|inside\d+"
-NEGLIGIBLE = 1e-15  # entry of a matrix, relative to its row and column, that is a rounding error
-_ABOUT = """\
+NEGLIGIBLE_ENTRY = 1e-15  # size of a rounding error in a matrix, relative to row and column
+_NETWORK_COMMENTS = """\
 * Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
 * 1 W into the pin. Connect {base} to node 0, or to a source whose voltage is the temperature there.
 * At the default values, every mode is a thermal resistance [K/W] in parallel with a heat capacity
@@ -65,20 +66,20 @@ def heat_subcircuit_over_ranges(
     *,
     rating: str = UNRATED,
 ) -> Subcircuit:
-    """Return the subcircuit of a heat model with the pins of its ports and with parameters.
+    """Return the subcircuit of a heat model over parameter ranges.
 
     Parameters
     ----------
-    model : reduced heat model over ranges of parameters.
+    model : reduced heat model that depends on parameters.
     name : name of the subcircuit and of its library file.
-    parameters : parameters of ``model.parameter_axes`` in its order, with names in the netlist.
+    parameters : netlist parameters in the order of ``model.parameter_axes``.
     header : origin of the netlist.
-    rating : largest permitted load of the body, for the head of the library.
+    rating : largest permitted load of the body, for the header of the library.
 
     Raises
     ------
-    UsageError : a name that the subcircuit uses internally, or a model that is not passive at the
-        defaults.
+    UsageError : a parameter has a name that the subcircuit uses internally, or the model is not
+        passive at the defaults.
     """
     names = [item.name for item in parameters]
     for parameter in names:
@@ -96,9 +97,9 @@ def heat_subcircuit_over_ranges(
         *heat_port_cards(network.modes, base),
         *network.cards(base),
     ]
-    about = _ABOUT.format(base=base).split("\n")
+    about = _NETWORK_COMMENTS.format(base=base).split("\n")
     head = header or Header(model.name, "-")
-    words = heat_words(rating) | {"within": ", parameters within their ranges,"}
+    words = heat_header_texts(rating) | {"within": ", parameters within their ranges,"}
     others = list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, tuple(parameters), head, (about, body), others=others,
@@ -107,7 +108,7 @@ def heat_subcircuit_over_ranges(
 
 
 def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
-    """Return the network of the modes at the defaults, and of their couplings over the ranges."""
+    """Return the network of the modes at the defaults and of their parametric couplings."""
     values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
     rom = model.at(values)
     times, shapes = decouple_heat(rom)
@@ -135,7 +136,7 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
 def _write_change(
     powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
 ) -> str:
-    """Return the text of ``prod_k (p_k / s_k)^a_k - start``."""
+    """Return the text of ``prod_k (p_k / s_k)^a_k - start`` with parameters p, scales s."""
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
         if power:
@@ -149,15 +150,14 @@ def _write_change(
 
 
 def _without_rounding(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix without entries that are rounding errors relative to their row and
-    column."""
+    """Return a matrix in which entries that are rounding errors are zero."""
     size = np.sqrt(np.abs(np.diag(matrix)))
-    return np.where(np.abs(matrix) > NEGLIGIBLE * np.outer(size, size), matrix, 0.0)
+    return np.where(np.abs(matrix) > NEGLIGIBLE_ENTRY * np.outer(size, size), matrix, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Network:
-    """Modes at the defaults, and the changes (changes, modes, modes) of their K and E."""
+    """Modes at the defaults, and the changes (changes, modes, modes) of K and E."""
 
     modes: HeatModes
     changes: tuple[str, ...]
@@ -165,7 +165,7 @@ class _Network:
     stored: np.ndarray
 
     def cards(self, base: str) -> Iterator[Line]:
-        """Yield the elements of all modes, then those between modes."""
+        """Yield the elements of all modes, then the elements between modes."""
         for j in range(len(self.modes.resistance)):
             yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
             yield from self._mode_elements(j, base)
@@ -184,7 +184,8 @@ class _Network:
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
         yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
-        # capacitors between modes store the heat of differences; the row sum remains here
+        # Capacitors between two modes represent the entries outside the diagonal. Their row sum is
+        # added to the diagonal.
         sums = self.stored[:, j].sum(axis=1)
         if sums.any():
             yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
@@ -192,7 +193,7 @@ class _Network:
             yield Element.of(f"C{j + 1}", node, base, float(C))
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
-        """Return the text of a constant plus changes with coefficients; empty if all are zero."""
+        """Return the text of a constant plus weighted changes; empty if all terms are zero."""
         text = format_number(constant) if constant else ""
         for t, value in enumerate(coefficients, 1):
             if value:

@@ -1,7 +1,7 @@
-"""Resonators that depend on parameters, as one subcircuit with these parameters.
+"""Subcircuits of resonators that depend on parameters of the subcircuit.
 
-The numbers of the elements are ``.param`` expressions. A simulator evaluates the expressions once,
-when it expands the subcircuit, so that a run takes as long as with other resonators.
+The values of the elements are ``.param`` expressions. A simulator evaluates the expressions only
+once, when it expands the subcircuit, so that a run takes no longer than with constant values.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.rom.soft_support import SOFT_SUPPORT
-from kc2spice.synthesis.emitted import MICRO
+from kc2spice.synthesis.circuit_error import MICRO
 from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.mode_cards import (
     RINGING_WEIGHTS,
@@ -57,10 +57,10 @@ from kc2spice.synthesis.terminals import (
     subcircuit_pins,
 )
 
-# function that formats a polynomial with these coefficients
+# function that returns the text of a polynomial from its coefficients
 Polynomial = Callable[[np.ndarray], str]
 
-# Names that the subcircuit uses for its own parameters.
+# Pattern of the names of internal parameters of the subcircuit.
 _RESERVED_NAME = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
 _RESONATOR_COMMENT = """\
 * Resonators whose frequencies, couplings, capacitances and damping are polynomials of the
@@ -87,9 +87,10 @@ def parametric_subcircuit(
     rating: str = UNRATED,
     weights: StepWeights = RINGING_WEIGHTS,
 ) -> Subcircuit:
-    """Return one ``.subckt`` with the pins of every port and with parameters.
+    """Return the subcircuit of a model that depends on parameters.
 
-    States are scaled by the model at the defaults.
+    The subcircuit has the pins of all ports. The model at the default values of the parameters
+    determines the scales of the states.
 
     Parameters
     ----------
@@ -99,14 +100,14 @@ def parametric_subcircuit(
     name : str
         Name of the subcircuit and of its library file.
     parameters : sequence of Param, optional
-        Parameters in the order of ``model.parameter_axes``, with names in the netlist. The default
-        is all parameters that the model states.
+        Netlist parameters in the order of ``model.parameter_axes``. The default is all parameters
+        of the model.
     header : Header, optional
         Origin of the netlist.
     title : str, optional
         Description of the device, for the header of the library.
     rating : str, optional
-        Largest permitted load of the device, for the head of the library.
+        Largest permitted load of the device, for the header of the library.
     weights : StepWeights, optional
         How closely the step control of the simulator follows the modes.
 
@@ -117,7 +118,8 @@ def parametric_subcircuit(
 
     Raises
     ------
-    UsageError : a name that the subcircuit uses internally, or a port of another domain.
+    UsageError : a parameter has a name that the subcircuit uses internally, or a port belongs to an
+        unsupported domain.
 
     Examples
     --------
@@ -184,11 +186,12 @@ def _describe_resonators(ports: Sequence[Port], base: str) -> str:
 
 
 def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], name: str) -> None:
-    """Check ports and names of parameters of the subcircuit ``name`` before a long reduction.
+    """Check the ports and parameters of the subcircuit ``name`` before a long reduction.
 
     Raises
     ------
-    UsageError : a port of another domain, or a name that the subcircuit uses internally.
+    UsageError : a port belongs to an unsupported domain, or a parameter has a name that the
+        subcircuit uses internally.
     """
     domains = {port.domain for port in ports}
     heat = domains == {THERMAL}
@@ -207,7 +210,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
 
 
 def _parameter_lines(model: ResonatorsOverRanges, parameters: Sequence[Param]) -> Iterator[Line]:
-    """Yield the ``.param`` cards: coordinates, polynomials, numbers of the states."""
+    """Yield the ``.param`` cards of coordinates, polynomials and values of elements."""
     axis_parameters = parameters[: len(model.axes)]
     yield from range_cards(parameters)
     yield from _coordinate_cards(model, axis_parameters)
@@ -230,7 +233,7 @@ def _parameter_lines(model: ResonatorsOverRanges, parameters: Sequence[Param]) -
 def _coordinate_cards(
     model: ResonatorsOverRanges, parameters: Sequence[Param]
 ) -> Iterator[Parameters]:
-    """Yield the coordinates x1, x2, ... and Chebyshev polynomials of each."""
+    """Yield the cards of the coordinates x1, x2, ... and of their Chebyshev polynomials."""
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
@@ -244,7 +247,7 @@ def _coordinate_cards(
 
 
 def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
-    """Return the names of the Chebyshev polynomials whose product has these degrees."""
+    """Return the names of the Chebyshev polynomials with these degrees."""
     result = []
     for k in np.flatnonzero(exponents):
         result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
@@ -252,7 +255,7 @@ def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
 
 
 def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
-    """Return the text of a polynomial without its zero terms."""
+    """Return the text of a polynomial without terms that are zero."""
     text = ""
     for value, term in zip(coefficients, terms, strict=True):
         if value:
@@ -263,7 +266,7 @@ def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
 def _damping_cards(
     model: ResonatorsOverRanges, loss_parameters: Sequence[Param], polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield Rayleigh's coefficients with the factors of parameters that are losses."""
+    """Yield the cards of Rayleigh's coefficients, with factors of parameters of losses."""
     losses = ["", ""]
     for loss, p in zip(model.losses, loss_parameters, strict=True):
         for k, share in enumerate((loss.alpha, loss.beta)):
@@ -279,7 +282,7 @@ def _damping_cards(
 def _block_cards(
     model: ResonatorsOverRanges, modes: range, polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield the Cholesky factor l, the stiffness k and the gains g of a block."""
+    """Yield the cards of the Cholesky factor l, stiffness k and gains g of a block of modes."""
     lower, stiff = _nonzero_entries(model)
     for i in modes:
         yield parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
@@ -297,7 +300,7 @@ def _block_cards(
 
 
 def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> Iterator[Parameters]:
-    """Yield the Cholesky factor f of the capacitances, then the capacitances c."""
+    """Yield the cards of the Cholesky factor f of the capacitances, and of the capacitances c."""
     electrodes = range(len(model.electrical))
     for k in electrodes:
         yield parameter_card(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
@@ -310,7 +313,7 @@ def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> I
 
 
 def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
-    """Return the text of the sum of products of two rows of a Cholesky factor."""
+    """Return the text of the scalar product of two rows of a Cholesky factor."""
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
@@ -323,8 +326,8 @@ def _nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarra
 class _PortsAndModes:
     """Elements of the ports and states of a model with parameters.
 
-    ``rom`` is the model at the defaults, by which states are scaled as in
-    :func:`kc2spice.synthesis.realize.subcircuit`::
+    ``rom`` is the model at the default values, which determines the scales of the states as in
+    :func:`kc2spice.synthesis.realize.subcircuit`. The equations are::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
@@ -355,7 +358,7 @@ class _PortsAndModes:
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
-        """Return the port k with the sources of its output."""
+        """Return the terminal of port k with the sources of the port's output."""
         if not t.port.electrical:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
@@ -373,13 +376,13 @@ class _PortsAndModes:
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
     def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
-        """Yield the source of the state i at the port k, nothing if the gain is zero."""
+        """Yield the source that adds the state i to the output of port k, unless its gain is 0."""
         if self.model.gain[:, i - 1, k].any():
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
     def _weigh_rate(self, i: int, k: int) -> Iterator[Transconductance]:
-        """Yield the source of the rate of the state i, ``w p``, at the port k."""
+        """Yield the source that adds the rate ``w p`` of the state i to the output of port k."""
         if self.model.gain[:, i - 1, k].any():
             rate = MICRO * self.omega[i - 1] * MICRO / self.terminals[k].unit / self.scale[i - 1]
             yield Transconductance(
@@ -397,7 +400,7 @@ class _PortsAndModes:
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
     def _mode_cards(self, i: int) -> Iterator[Line]:
-        """Yield the elements of the mode i and of its effect on charges."""
+        """Yield the elements of the mode i, and the elements that add its charge to ports."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
         yield Element.of(f"Cq{i}", f"q{i}", base, c)
@@ -424,5 +427,5 @@ class _PortsAndModes:
 
 
 def _name_capacitance(k: int, n: int) -> str:
-    """Return the name of the parameter that is the capacitance between two electrodes."""
+    """Return the name of the parameter for the capacitance between the electrodes k and n."""
     return f"c{max(k, n) + 1}_{min(k, n) + 1}"

@@ -22,7 +22,7 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
 from kc2spice.synthesis.branches import NETWORK_COMMENT, branch_cards
-from kc2spice.synthesis.emitted import accelerates_frame, estimate_circuit_error
+from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit_error
 from kc2spice.synthesis.header import (
     OUTWARDS_TEXT,
     mesh_comment,
@@ -58,7 +58,7 @@ _NOISE_COMMENT = """\
 * Every loss has thermal force noise, 4 k T times its damping. A resistor of the same number of ohms
 * provides this noise. No other resistor in this subcircuit has noise."""
 DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
-NEGLIGIBLE_ERROR = 1e-3  # negligible relative to an error estimate with three digits
+NEGLIGIBLE_ERROR = 1e-3  # negligible share of an error estimate with three digits
 NEGLIGIBLE_LOSS = 1e-14  # rounding error, relative to the largest loss of a model
 RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
@@ -77,17 +77,19 @@ def subcircuit(
     noise: bool = False,
     heat: bool = False,
 ) -> Subcircuit:
-    """Write one ``.subckt`` with the pins of every port of a linear model.
+    """Return the subcircuit of a linear model, with the pins of every port.
 
     Electrical ports are pairs of floating terminals and come first, then the other conservative
-    ports, ``base`` (their reference) and the signal pins; a model with only signals has ``ref``.
-    A displacement or rotation pin is conservative: its value equals the sum over the states, and
-    the force on that pin drives the states. An acceleration pin shakes the frame and draws the
-    force that this takes. The subcircuit has the port laws and the passivity of the model.
+    ports, the signal pins, and the pin ``base`` as the reference. A model with only signals has
+    the reference pin ``ref``. A displacement or rotation pin is conservative: its value is a sum of
+    the states, and the force on the pin drives the states. An acceleration pin accelerates the
+    frame, and the current into the pin is the necessary force. The subcircuit has the same
+    equations at its ports as the model, and is passive if the model is passive.
 
-    A measured one-port becomes its resistors, inductors and capacitors
-    (:mod:`kc2spice.rom.network`). A symmetric definite model with modal damping becomes decoupled
-    resonators. Any other model becomes blocks of coupled states, one block if ``dense``.
+    A network fitted to the measured impedance of one port becomes resistors, inductors and
+    capacitors (:mod:`kc2spice.rom.network`). A symmetric definite model with modal damping becomes
+    decoupled resonators. Any other model becomes blocks of coupled states, or one block if
+    ``dense`` is true.
 
     Parameters
     ----------
@@ -96,13 +98,13 @@ def subcircuit(
     name : str
         Name of the subcircuit and of its library file.
     header : Header, optional
-        Origin of the netlist. The default names the model and a hash of its matrices.
+        Origin of the netlist, by default the name of the model and a hash of its matrices.
     title : str, optional
-        Description of the device for the head of the library.
+        Description of the device, for the header of the library.
     rating : str, optional
         Largest permitted load of the device, for the head of the library.
     ports : sequence of str, optional
-        Names of the ports to bring out. The default is all ports; the others have no load.
+        Names of the ports that get pins, by default all ports. All other ports have no load.
     dense : bool, default False
         Whether to write all states as one coupled block.
     weights : StepWeights, optional
@@ -119,9 +121,10 @@ def subcircuit(
 
     Raises
     ------
-    UsageError : no linear model, an unknown port, a name that the subcircuit uses internally, a
-        model without state-space form or, with ``noise``, without symmetric matrices, capacitances
-        between electrodes that no passive network has, or, with ``heat``, coupled losses.
+    UsageError : ``rom`` is no linear model, a port is unknown, a name is used internally by the
+        subcircuit, the model has no state-space form, or no passive network has the capacitances
+        between the electrodes. With ``noise``: the matrices are not symmetric. With ``heat``:
+        losses are coupled.
 
     Examples
     --------
@@ -197,7 +200,7 @@ def subcircuit(
 
 
 def _unknown_losses(name: str, got: str) -> UsageError:
-    """Return the error of a model whose netlist has no heat pin."""
+    """Return the error about a model whose losses are unknown, so that it has no heat pin."""
     return UsageError(
         "the losses of this model are unknown, so this model cannot have a heat pin",
         where=name,
@@ -210,7 +213,7 @@ def _unknown_losses(name: str, got: str) -> UsageError:
 def _network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
-    """Return the subcircuit of a network, whose matrices are in ``rom``."""
+    """Return the subcircuit of a network of R, L and C, whose matrices are in ``rom``."""
     pins, cards = netlist_pins(rom.ports[0]), (NETWORK_COMMENT, branch_cards(network, rom))
     require_distinct_pins(pins, (INNER_NODE_PATTERN,), name)
     title = "passive network of a measured one-port"
@@ -221,16 +224,16 @@ def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -
     """Return the subcircuit of a heat model."""
     pins, common = heat_pins(rom, name)
     cards = heat_cards(rom, common)
-    base = common if len(pins) > 2 else ""  # resistors and capacitors need no pivots
-    return make_subcircuit(rom, name, pins, base, (), header, cards, **heat_words(rating))
+    base = common if len(pins) > 2 else ""  # RC circuits need no pivots
+    return make_subcircuit(rom, name, pins, base, (), header, cards, **heat_header_texts(rating))
 
 
 def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins of a heat model, and the name of the last pin, which is the reference.
+    """Return the pins of a heat model, and the name of the last pin, the reference pin.
 
     Raises
     ------
-    UsageError : a name that the subcircuit ``name`` uses internally.
+    UsageError : a pin has a name that the subcircuit ``name`` uses internally.
     """
     common = reference_pin(rom.ports)
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
@@ -241,8 +244,8 @@ def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
     return pins, common.name
 
 
-def heat_words(rating: str) -> dict[str, Any]:
-    """Return title, rating and validity of a heat model, for the head of its library."""
+def heat_header_texts(rating: str) -> dict[str, Any]:
+    """Return title, rating and validity of a heat model, for the header of its library."""
     return {
         "title": "reduced heat model",
         "rating": RATED_BY_HEAT if rating == UNRATED else rating,
@@ -264,16 +267,16 @@ def make_subcircuit(
     losses: Sequence[Line] = (),
     **words: str,
 ) -> Subcircuit:
-    """Return the subcircuit of a reduced model with its header.
+    """Return the subcircuit of a reduced model with a header.
 
-    The cards ``losses`` follow the cards of the model. They add the heat pins.
+    ``cards`` are comments about the circuit, and its elements. A circuit of passive elements has no
+    ``base`` and needs no pivot cards. ``losses`` are the cards of the heat from losses, which
+    follow ``cards``; with ``losses``, the subcircuit has heat pins. ``words`` are the title, the
+    rating and the validity in the header.
 
-    ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
-    pivots. ``words`` are the title, the rating and the validity of the head.
-
-    The error estimate is the sum of the errors of the elements and of the certificate. The
-    elements are compared with ``rom`` at the defaults and with ``others`` at their parameters'
-    values.
+    The error estimate in the header is the error of the circuit plus the error estimate of the
+    certificate. The circuit is compared with ``rom`` at the default values of the parameters, and
+    with each model in ``others`` at the parameter values of that model.
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
@@ -309,7 +312,7 @@ def make_subcircuit(
     )
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"
-    facts: dict[str, Any] = {"reduction": reduction, "head_lines": len(head)}
+    facts: dict[str, Any] = {"reduction": reduction, "header_lines": len(head)}
     return Subcircuit(
         name, pins, params, Circuit(items=(circuit,)), title=format_comment(title), **facts
     )
@@ -322,9 +325,9 @@ def _summarise_reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionSummary:
-    """Return order, band and error estimate of a reduced model with its emitted circuit.
+    """Return order, band and error estimate of a reduced model and its circuit.
 
-    The circuit is compared with models at values of its parameters.
+    The circuit is compared with each model in ``compared`` at the parameter values of that model.
     """
     band = certificate.band_hz
     errors, leak = [], 0.0
@@ -342,23 +345,21 @@ def _summarise_reduction(
 def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     """Return the model as resonators if possible, otherwise as blocks of states.
 
-    D of the blocks contains the immediate response of undamped states without inertia.
+    The matrix D of blocks contains the immediate response of undamped states without inertia.
     """
     modal = None if dense else _decouple_modes(rom)
     if modal is not None:
         return modal
-    # imported here, because most models do not need it
-    from kc2spice.rom.blocks import (
-        make_block_model,
-    )
+    # imported here, because most models need no blocks
+    from kc2spice.rom.blocks import make_block_model
 
     return make_block_model(rom, dense=dense)
 
 
 def _decouple_modes(rom: LinearModel) -> Resonators | None:
-    """Return the model as resonators, or None if it has no such form.
+    """Return the model as resonators; None if this is not possible.
 
-    The result is also None if a port needs the velocity of a state without inertia.
+    It is not possible if a port needs the velocity of a state without inertia.
     """
     result = resonators(rom)
     if result is None or not is_conservative(rom):
@@ -372,19 +373,19 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
 
 
 def is_conservative(rom: LinearModel) -> bool:
-    """Whether every port of the model exchanges energy."""
+    """Return whether every port of the model exchanges energy."""
     return all(map(attrgetter("conservative"), rom.ports))
 
 
 def _add_noise_forces(rom: LinearModel) -> LinearModel:
-    """Return ``rom`` with an input for the force of every loss.
+    """Return ``rom`` with additional inputs for the noise forces of its losses.
 
-    ``E`` is the sum of squares of the columns of B of these forces. Each force therefore has the
-    noise of a loss of one.
+    The columns b of the matrix B for these inputs satisfy ``E = sum b b'``. Each force therefore
+    has the noise of a damping coefficient of one.
 
     Raises
     ------
-    UsageError : losses outside the matrix ``E``.
+    UsageError : the model has losses that are not in the matrix ``E``.
     """
     if rom.first_order or not rom.symmetric or not is_conservative(rom):
         raise UsageError(
@@ -407,12 +408,13 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def apply_unit_load(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return a copy of a subcircuit under a unit load, and its responses.
+    """Return one instance of a subcircuit with a unit load, and the instance's responses.
 
-    A response maps a port to its vector and the factor of the vector to SI. As in
-    :meth:`LinearModel.transfer`, the other electrodes are shorted, mechanical ports are free,
-    frames are at rest and other inputs are zero. The response of an electrode is its current, of
-    another driven pin its flow, and of a frame its force. ``tag`` ends all names of the copy.
+    The responses map each port to the name of an ngspice vector, and the factor that converts the
+    vector to SI units. As in :meth:`LinearModel.transfer`, all other electrodes are shorted,
+    mechanical ports are free, frames are at rest and other inputs are zero. The response of an
+    electrode is its current, of any other driven pin its flow, and of a frame its force. All names
+    of the instance end with ``tag``.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
     nodes = {}

@@ -1,9 +1,9 @@
-"""Estimate of time points and CPU time of a run with ringing, before it starts.
+"""Estimate of the time points and the CPU time of a run with ringing, before the run.
 
-Error control follows every mode that rings, also far above the band of the reduction, where a
-contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
-amplitude. While a mode of the angular frequency ``w`` rings, the steps are ``(12 reltol)^(1/3) /
-w``. Without damping, the ringing lasts to the end of the run.
+Error control resolves every mode that rings, including modes above the band of the reduction, which
+a contact excites. In a step ``h``, the error of the trapezoidal rule relative to the amplitude is
+``(w h)^3 / 12``. While a mode of the angular frequency ``w`` rings, the steps are therefore ``(12
+reltol)^(1/3) / w``. Without damping, the ringing lasts until the end of the run.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
 
-# logarithm of the ratio of a relevant amplitude to its value at the end of the ringing
+# Logarithm of the ratio of the initial amplitude to the amplitude at which the ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
 MANY_POINTS = 3e5  # time points above which a warning is printed: half a minute for 24 states
-# CPU time of ngspice [s] per time point, and per time point and state, measured with kick_and_catch
-# of 24 and of 178 states on a processor of 2.5 GHz
+# s, CPU time of ngspice for each time point, and in addition for each time point and state.
+# Measured on a 2.5 GHz processor with the scene kick_and_catch of 24 and of 178 states.
 POINT_SECONDS = 5e-5
 STATE_SECONDS = 1.4e-6
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Estimated time points of a run due to the ringing of a body."""
+    """Estimate of the time points of a run due to the ringing of a body."""
 
     part: str
     points: float
@@ -49,30 +49,30 @@ class Ringing:
 
 
 def time_per_point(states: int) -> float:
-    """Return the CPU time [s] of ngspice per time point with a body of ``states`` states."""
+    """Return the CPU time [s] of ngspice for each time point with a body of ``states`` states."""
     return POINT_SECONDS + STATE_SECONDS * states
 
 
 def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> Ringing | None:
-    """Estimate the time points of a run in which all modes of a body ring from the start.
+    """Estimate the time points of a run in which all modes of a body ring.
 
     Parameters
     ----------
     part : str
         Name of the body.
     rom : LinearModel
-        Its reduced model.
+        Reduced model of the body.
     stop : float
-        Duration of the ringing in s.
+        Duration [s] of the run after the start of the ringing.
     reltol : float
         Relative error of a time step.
 
     Returns
     -------
     Ringing or None
-        The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first.
-        Until the time ``t_i``, a mode at least as fast as mode i rings. The result is None if the
-        model has no known modes.
+        The number of points is ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)``, with the fastest
+        mode first. ``t_i`` is the time until which mode i or a faster mode rings. The result is
+        None if the modes of the model are unknown.
     """
     model = resonators(rom)
     if model is None:
@@ -83,7 +83,7 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     omega, rate = omega[fastest], damp[fastest] / 2
     lasts = np.minimum(stop, LOG_AMPLITUDE_RATIO / np.maximum(rate, LOG_AMPLITUDE_RATIO / stop))
     until = np.array([*accumulate(lasts, max)])
-    spans = np.diff(until, prepend=0.0)  # intervals in which the mode is the fastest one
+    spans = np.diff(until, prepend=0.0)  # duration in which the mode is the fastest ringing mode
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
     seconds = points * time_per_point(model.order)
@@ -93,8 +93,8 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
 def warn_of_long_run(build: Build, deck: Deck) -> None:
     """Warn before a run that takes more than :data:`MANY_POINTS` time points.
 
-    The cause is the largest time step, or the ringing of a body under a contact that determines
-    the steps.
+    The cause of many points is the largest time step or, if a contact determines the steps, the
+    ringing of a body.
     """
     scene = build.scene
     if scene.analysis.type != "transient":

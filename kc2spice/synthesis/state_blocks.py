@@ -1,4 +1,4 @@
-"""Cards of blocks of states, for models that do not decouple into resonators."""
+"""Netlist cards of blocks of states, for models that cannot become resonators."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from kc2spice.synthesis.terminals import (
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
-FREE_LEAK = 1e-12  # S, of a free integrator
-# Smallest singular value of a block, relative to the band, below which it integrates constant
-# inputs.
+FREE_LEAK = 1e-12  # S, leakage conductance of an integrator
+# Smallest singular value of a block, relative to the angular band limit, below which the block
+# integrates constant inputs.
 INTEGRATOR_RATIO = 1e-11
 _STATES_COMMENT = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
@@ -49,13 +49,13 @@ _INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
 def write_blocks(
     model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
 ) -> tuple[list[str], list[Line]]:
-    """Return comments and cards of blocks of states.
+    """Return the cards of blocks of states, with comments.
 
     The states of the blocks of :func:`kc2spice.rom.blocks.make_block_model` are voltages on
-    capacitors ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A
-    block is scaled to about 1 V for a constant input of 1 V.
+    capacitors ``C = 1 / (2 pi f1)`` with the upper end f1 of the band. Conductances are therefore
+    about 1 S. The states of a block are scaled to about 1 V for a constant input of 1 V.
     """
-    from scipy.linalg import block_diag  # imported here, because most models do not need it
+    from scipy.linalg import block_diag  # imported here, because most models need no blocks
 
     farad = 1 / (2 * np.pi * model_band(rom)[1])
     B, C = model.B.copy(), model.C.copy()
@@ -114,7 +114,7 @@ def write_blocks(
 
 
 def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the resistors of noise inputs, then the leaks of signal inputs."""
+    """Yield the resistors of noise inputs, then the leakage resistors of signal inputs."""
     inputs = [t for t in terminals if t.kind == "input"]
     for t in filter(attrgetter("is_noise"), inputs):
         yield Element.of(f"R{t.pins[0]}", t.pins[0], base, "1")
@@ -138,9 +138,10 @@ def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Return a block, whether it integrates, and the scale of its states.
+    """Return a block with scaled states, whether the block integrates, and the scales.
 
-    A complex pair becomes ``[[a, w], [-w, a]]``. States are about 1 for a constant input of 1.
+    The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
+    1 for a constant input of 1.
     """
     scale = np.ones(len(block))
     if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
@@ -160,7 +161,7 @@ def _describe_poles(block: np.ndarray) -> str:
 
 
 def _describe_pole(pole: complex) -> str:
-    """Return a pole or a pole pair in words."""
+    """Describe a pole or a pair of complex poles."""
     if pole.imag > 0:
         size = abs(pole)
         return f"{size / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / size:.6g}"

@@ -1,4 +1,4 @@
-"""Ports of a model as pins of a subcircuit, and the cards between pins and states."""
+"""Terminals of a subcircuit: pins of ports, and cards between pins and states."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import LEAK_RATE, format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.synthesis.emitted import LOWEST_FREQUENCY_RATIO, MICRO, accelerates_frame
+from kc2spice.synthesis.circuit_error import LOWEST_FREQUENCY_RATIO, MICRO, accelerates_frame
 from kc2spice.synthesis.header import netlist_pins
 
 if TYPE_CHECKING:
     pass
-INPUT_LEAK = 1e-18  # S, of a signal input, which is zero if nothing drives it
-LEAK_POINTS = 60  # frequencies at which the smallest charge of an electrode is searched
-# Cross terms of D below this share of the diagonal are rounding errors.
+INPUT_LEAK = 1e-18  # S, at a signal input, so that an input without a source is zero
+LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
+# Entries of D outside the diagonal are rounding errors below this share of the diagonal entries.
 CROSS_ROUNDING = 1e-13
-# smallest value of C B, relative to its terms, at which a rate jumps with an input
+# Value of C B, relative to its terms, below which it counts as zero. Otherwise the rate of an
+# output would jump with an input.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 OUTWARDS_COMMENT = (
@@ -66,22 +67,22 @@ _SHAKEN_COMMENT = """
 _NOISE_INPUT_NAME = re.compile(r"noise\d+")
 
 
-Value: TypeAlias = float | str  # number, or expression of the subcircuit's parameters
+Value: TypeAlias = float | str  # number, or expression of subcircuit parameters
 
 
 def write_value(value: Value) -> str:
-    """Return a value as a word of a card."""
+    """Return a number or an expression as a word of a card."""
     return f"{{{value}}}" if isinstance(value, str) else format_number(value)
 
 
 def scale_value(factor: float, value: Value) -> Value:
-    """Multiply a value by a number."""
+    """Multiply a number or an expression by a number."""
     return f"{format_number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
 @dataclass(frozen=True)
 class Transconductance:
-    """Controlled source of ``value`` amperes per volt of the voltage from ``plus`` to ``minus``."""
+    """Controlled source with ``value`` amperes per volt between ``plus`` and ``minus``."""
 
     label: str
     plus: str
@@ -89,7 +90,7 @@ class Transconductance:
     value: Value
 
     def between(self, a: str, b: str, prefix: str = "") -> Element:
-        """Return the element with its current from ``a`` to ``b``."""
+        """Return the element whose current flows from ``a`` to ``b``."""
         value = write_value(self.value)
         return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
 
@@ -97,18 +98,19 @@ class Transconductance:
 def connect_sources(
     sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
 ) -> Iterator[Element]:
-    """Yield the elements of controlled sources from ``a`` to ``b``."""
+    """Yield the elements of controlled sources whose currents flow from ``a`` to ``b``."""
     for source in sources:
         yield source.between(a, b, prefix)
 
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """Port with its pins, its ``column`` of B and its ``row`` of C.
+    """Port of a subcircuit: pins, the port's ``column`` of B and its ``row`` of C.
 
-    ``clamped`` is its clamped capacitance [F], ``capacitance`` an expression that replaces it.
-    The sources ``sums`` add the states to the output of the port, the sources ``through`` add
-    inputs of ports. ``tag`` ends the names of its nodes. ``leak`` is a conductance [S].
+    ``clamped`` is the clamped capacitance [F] of the port, and ``capacitance`` an expression that
+    replaces this value. The sources in ``sums`` add the states to the output of the port, and the
+    sources in ``through`` add the inputs of ports. The names of the port's nodes end with ``tag``.
+    ``leak`` is the leakage conductance [S] between the pins.
     """
 
     port: Port
@@ -134,12 +136,12 @@ class PortTerminal:
 
     @property
     def is_frame(self) -> bool:
-        """Whether the port accelerates the frame of the body."""
+        """Whether the input of the port is the acceleration of the body's frame."""
         return accelerates_frame(self.port)
 
     @property
     def is_noise(self) -> bool:
-        """Whether the input is the force of thermal noise."""
+        """Whether the input of the port is a force of thermal noise."""
         return _NOISE_INPUT_NAME.fullmatch(self.label) is not None
 
     @property
@@ -151,7 +153,7 @@ class PortTerminal:
 
     @property
     def unit(self) -> float:
-        """SI value of 1 V on the node that sums the output of the port."""
+        """SI value of 1 V on the node whose voltage is the output of the port."""
         domain = self.port.domain
         if domain is None:
             return 1.0
@@ -161,22 +163,22 @@ class PortTerminal:
 
     @property
     def input_unit(self) -> float:
-        """SI value of 1 V between the nodes of the input."""
+        """SI value of 1 V between the input nodes of the port."""
         domain = self.port.domain
         return 1.0 if domain is None else domain.quantity(domain.input_side).factor
 
     def driven_pins(self, base: str) -> tuple[str, str]:
-        """Return the pins between which an input drives the port."""
+        """Return the pins between which a source drives the port."""
         return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
 
     def input_nodes(self, base: str) -> tuple[str, str]:
-        """Return the nodes between which the port's input is a voltage."""
+        """Return the nodes between which the voltage is the input of the port."""
         return (f"f{self.pins[0]}", base) if self.port.loaded else self.driven_pins(base)
 
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source that adds the input of a port with its weight in ``row``."""
+        """Return the source that adds the input of this port with its weight in ``row``."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
@@ -185,9 +187,10 @@ class PortTerminal:
 
 @dataclass(frozen=True, eq=False)
 class StateNodes:
-    """States ``z' = A z + B u`` with outputs ``y = C z + D u``, each the voltage of a node.
+    """Nodes of the states z of ``z' = A z + B u``, ``y = C z + D u``.
 
-    y is in volts on the nodes that sum the outputs of the ports.
+    Each state is the voltage of a node. The outputs y are in volts of the output nodes of the
+    ports.
     """
 
     nodes: Sequence[str]
@@ -197,7 +200,7 @@ class StateNodes:
     C: np.ndarray
 
     def sum_states(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
-        """Return the sources that sum the states with the weights ``row``."""
+        """Return the sources whose currents sum the states with the weights ``row``."""
         result = []
         for k in np.flatnonzero(row).tolist():
             value = float(row[k])
@@ -208,9 +211,9 @@ class StateNodes:
 def weigh_inputs(
     terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
 ) -> tuple[Transconductance, ...]:
-    """Return the sources that sum the inputs of ports with the weights ``row``.
+    """Return the sources whose currents sum the inputs of ports with the weights ``row``.
 
-    The name of a source is the letter ``mark`` with the number of its input.
+    The name of a source consists of the letter ``mark`` and the number of the input.
     """
     result = []
     for t in terminals:
@@ -220,16 +223,16 @@ def weigh_inputs(
 
 
 def charge_ports(rom: LinearModel) -> list[bool]:
-    """Return for each port whether its output is a charge."""
+    """Return for each port of a model whether its output is a charge."""
     return list(map(attrgetter("charged"), rom.ports))
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    """Return the ports of a model with pins, and with capacitances of the matrix D.
+    """Return the terminals of a model's ports, with clamped capacitances from D.
 
     Raises
     ------
-    UsageError : a wrong number of pins, or a negative capacitance.
+    UsageError : a port has a wrong number of pins, or a capacitance is negative.
     """
     several = sum(charge_ports(rom)) > 1
     result, column, row = [], 0, 0
@@ -261,21 +264,22 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
 
 
 def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
-    """Return the capacitance [F] of pins that store SI units per unit across them."""
+    """Convert a stored quantity per across quantity in SI units to a capacitance [F]."""
     assert domain is not None
     return float(stored) * domain.admittance
 
 
 def _leak_conductance(rom: LinearModel, port: Port) -> float:
-    """Return the conductance [S] across an electrode without a clamped capacitance.
+    """Return the leakage conductance [S] of an electrode without a clamped capacitance.
 
-    The conductance is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
+    The conductance is ``LEAK_RATE`` times the smallest charge per volt of the electrode within the
+    band.
     """
     low, high = model_band(rom)
     frequency = np.geomspace(max(low, LOWEST_FREQUENCY_RATIO * high), high, LEAK_POINTS)
     try:
         charge = np.abs(rom.select([port.name]).transfer(frequency))
-    except SimulationError:  # a frequency is a pole
+    except SimulationError:  # if a frequency is exactly a pole
         return INPUT_LEAK
     return LEAK_RATE * _pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
 
@@ -290,7 +294,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
     Raises
     ------
-    UsageError : a name that the subcircuit ``name`` uses internally.
+    UsageError : a pin has a name that the subcircuit ``name`` uses internally.
     """
     paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
     inner = [INNER_NODE_PATTERN]
@@ -303,27 +307,27 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
         else:
             signals += pins
     common = reference_pin(list(map(attrgetter("port"), terminals)))
-    # electrical ports against one cathode share its pin
+    # several electrical ports may share one cathode pin
     result = (*dict.fromkeys(paired), *moving, *signals, common)
     require_distinct_pins(result, inner, name)
     return result, common.name
 
 
 def loaded_nodes(pin: Pin) -> str:
-    """Return the pattern of the internal nodes of a port that a flow drives."""
+    """Return the name pattern of the internal nodes of a port whose input is a flow."""
     return f"[uf]{pin.name.lower()}"
 
 
 def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
-    """Raise an error if pin names are equal or match an internal node."""
+    """Raise an error if pin names are equal, or are names of internal nodes."""
     require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the last pin, which is the reference of all single pins.
+    """Return the pin that is the reference of all single pins.
 
-    Displacements and all other quantities of a model with mechanical ports are relative to the
-    base. The base is called ``ground`` if a port is called ``base``.
+    In a model with mechanical ports, the pin ``base`` is the reference of all quantities. It is
+    called ``ground`` if a port is called ``base``.
     """
     domains = port_domains(ports)
     others = list(filter(attrgetter("reference"), domains))
@@ -336,17 +340,17 @@ def reference_pin(ports: Sequence[Port]) -> Pin:
 
 
 def port_domains(ports: Iterable[Port]) -> list[Domain]:
-    """Return the domains of ports, each once, in the order of the ports."""
+    """Return the domains of ports without repetitions, in the order of the ports."""
     return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
 
 
 @dataclass(frozen=True, eq=False)
 class OutputLaws:
-    """Sources by which states and inputs determine the outputs ``y = C z + D u``.
+    """Writer of the sources for the outputs ``y = C z + D u``.
 
-    An electrical port without a clamped capacitance needs the current ``y' = C A z + C B u``. An
-    acceleration port needs the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. There C B is
-    zero because everything that moves has inertia.
+    At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
+    z + C B u``. At an acceleration port, they provide the force ``m a - y''`` with ``y'' = C A^2 z
+    + C A B u``, where C B is zero because all moving parts have inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -356,19 +360,19 @@ class OutputLaws:
     base: str
 
     def connect_output(self, t: PortTerminal) -> PortTerminal:
-        """Return the terminal with the sources of its output.
+        """Return the terminal ``t`` with the sources of the port's output.
 
         Raises
         ------
-        UsageError : an acceleration port depends on the rate of an input, or an electrode without
-        clamped capacitance shares charge.
+        UsageError : an acceleration port depends on the rate of an input, or the charge of an
+            electrode without clamped capacitance depends directly on another input.
         """
         if t.row is None:
             return t
         if t.is_frame:
             return self._connect_frame(t)
         row, direct = self.states.C[t.row], self.D[t.row] / t.unit
-        if t.port.charged:  # the clamped capacitance is a capacitor
+        if t.port.charged:  # an element represents the clamped capacitance
             direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if not t.clamped:
@@ -376,7 +380,7 @@ class OutputLaws:
         return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
     def _connect_frame(self, t: PortTerminal) -> PortTerminal:
-        """Return an acceleration port with the sources of its force."""
+        """Return the terminal of an acceleration port with the sources of the force."""
         row, states = self.states.C[t.row], self.states
         jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
@@ -397,7 +401,7 @@ class OutputLaws:
         return replace(t, sums=sums, through=self._weigh_inputs_only(force))
 
     def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
-        """Return an unclamped electrode with the sources of its current."""
+        """Return an electrode without clamped capacitance, with the sources of its current."""
         if direct.any():
             raise UsageError(
                 "an electrode without clamped capacitance is coupled to other ports through D",
@@ -412,14 +416,14 @@ class OutputLaws:
         return self.states.sum_states(row, self.base)
 
     def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
-        """Return the sources by inputs, without weights that are rounding errors."""
+        """Return the sources for inputs, except sources whose weight is a rounding error."""
         size = np.abs(row).max(initial=0.0)
         row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
         return weigh_inputs(self.terminals, row, self.base, mark=mark)
 
 
 def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of electrical ports, of moving ports, of accelerated frames."""
+    """Yield the cards of electrical ports, then of moving ports, then of frames."""
     for role in ("port.charged", "port.loaded", "is_frame"):
         for t in filter(attrgetter(role), terminals):
             yield from _lines_of_port(t, base, share)
@@ -475,11 +479,11 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
 
 
 def _pin_comment(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return the description of a port's pin for a comment."""
+    """Return the words of the comment about the pin of a port."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether values at pins have another reference than displacements."""
+    """Return whether pins of these domains have a reference pin, but not ``base``."""
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references

@@ -102,10 +102,10 @@ def make_deck(build: Build) -> Deck:
         measures=list_measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
-        initial=_initial_values(build, loose),
+        initial_voltages=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
-        free=frozenset(_list_free_nets(scene)),
+        free_nets=frozenset(_list_free_nets(scene)),
         sweep_scale=sweep_scale,
         items=tuple(_list_items(build, loose, analysis.items)),
     )

@@ -24,7 +24,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
-from kc2spice.synthesis.emitted import require_circuit
+from kc2spice.synthesis.circuit_error import require_circuit
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
 
 

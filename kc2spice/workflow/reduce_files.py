@@ -58,7 +58,7 @@ from kc2spice.rom.stability import MAX_POLE_STATES, prove_stability
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
-from kc2spice.synthesis.emitted import require_circuit
+from kc2spice.synthesis.circuit_error import require_circuit
 from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (

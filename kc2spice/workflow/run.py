@@ -15,7 +15,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import write_plot_script
-from kc2spice.report.figures import draw_pngs
+from kc2spice.report.figures import write_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
 from kc2spice.scene import noise_analysis
@@ -228,7 +228,7 @@ def write_run_files(
             if isinstance(item, FileWriter):
                 item.write(work / item.name)
                 files.append(item.name)
-        files += draw_pngs(work, figures) if png else []
+        files += write_pngs(work, figures) if png else []
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]

@@ -27,9 +27,9 @@ from kc2spice.scene.metrics import compute_metrics
 from kc2spice.scene.model import Build
 from kc2spice.sim.engines import Engine
 from kc2spice.sim.ngspice import (
-    Outcome,
+    ProgressCallback,
     RetriesFailedError,
-    Share,
+    RunOutcome,
     run_with_retries,
     write_files,
 )
@@ -42,7 +42,7 @@ FAILURE_FILE = "failure.json"
 
 
 @dataclass(frozen=True)
-class Run(Outcome):
+class Run(RunOutcome):
     """Simulation of a scene: models, deck, waves, verdict, attempts and metrics.
 
     ``units`` are the SI units of metrics by dotted name, for metrics with a unit. ``cpu_s`` is the
@@ -93,7 +93,7 @@ def simulate_deck(
     deck: Deck,
     directory: Path,
     *,
-    progress: Share = None,
+    progress: ProgressCallback = None,
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Run:
@@ -199,7 +199,11 @@ def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
 
 
 def run_simulation(
-    build: Build, deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
+    build: Build,
+    deck: Deck,
+    directory: Path,
+    progress: ProgressCallback = None,
+    timeout: float | None = None,
 ) -> Waveforms:
     """Run ``deck`` in ngspice, in ``directory``.
 
@@ -212,7 +216,7 @@ def choose_engine(
     laws: SceneLaws,
     deck: Deck,
     directory: Path,
-    progress: Share = None,
+    progress: ProgressCallback = None,
     timeout: float | None = None,
 ) -> Engine:
     """Return the engine for a ``deck`` of the scene with these laws.

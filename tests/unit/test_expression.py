@@ -3,7 +3,7 @@
 import operator
 
 import pytest
-from support import Binary, Choice, Number, Unary, Writer, parse_expression
+from support import Binary, Choice, ExpressionWriter, Number, Unary, parse_expression
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
@@ -57,7 +57,7 @@ VALUES = [
 def test_an_expression_keeps_its_value(text, value, written):
     tree = parse_expression(text)
     assert worth(tree) == value
-    assert Writer().write(tree) == written
+    assert ExpressionWriter().write(tree) == written
     assert parse_expression(written) == tree
 
 

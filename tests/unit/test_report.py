@@ -19,7 +19,6 @@ from support import (
     Waveforms,
     compute_metrics,
     describe_plan,
-    draw_pngs,
     format_operating_point,
     format_quantity,
     format_results,
@@ -29,6 +28,7 @@ from support import (
     render_figure,
     resolve_build,
     write_page,
+    write_pngs,
     write_run,
 )
 
@@ -246,7 +246,7 @@ def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
 
 def test_figures_as_files(tmp_path: Path) -> None:
     drawn = [replace(figure, columns=2) for figure in figures(loop_waves())]
-    assert draw_pngs(tmp_path, drawn) == ["trajectory.png", "response.png"]
+    assert write_pngs(tmp_path, drawn) == ["trajectory.png", "response.png"]
     for name in ("trajectory.png", "response.png"):
         width, height = png_size(tmp_path / name)
         assert width >= 1000  # 7 inches at 150 dots

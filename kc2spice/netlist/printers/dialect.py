@@ -25,7 +25,7 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
     items_of,
-    lower_names,
+    key_by_lower_name,
 )
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
@@ -263,7 +263,7 @@ class Dialect(Printer, ABC):
 
     def model(self, model: Model) -> str:
         """Return the card of a switch model, or of a semiconductor model."""
-        parameters = lower_names(model.parameters)
+        parameters = key_by_lower_name(model.parameters)
         values = dict(zip(parameters, map(self.value, parameters.values()), strict=True))
         if model.type.lower() == "sw":
             return self.switch(model.name, values)

@@ -18,7 +18,7 @@ from kc2spice.netlist.circuit import (
     Parameters,
     items_of,
 )
-from kc2spice.netlist.expression import Name, Tree, Writer, parse_expression, walk_tree
+from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, parse_expression, walk_tree
 from kc2spice.netlist.prefixes import with_prefixes
 from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
 
@@ -28,7 +28,7 @@ _NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # the words are n
 _TABLE_WIDTH = 96
 
 
-class Printer(Writer):
+class Printer(ExpressionWriter):
     """Printer of netlists for one simulator."""
 
     title = "ngspice"

@@ -20,17 +20,17 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
     items_of,
-    lower_names,
+    key_by_lower_name,
 )
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     COMMON_FUNCTIONS,
     Binary,
     CircuitVariable,
+    ExpressionWriter,
     Name,
     Number,
     Tree,
-    Writer,
     literal_value,
     parse_expression,
     parse_vector,
@@ -106,7 +106,7 @@ class Module:
 
 
 @dataclass
-class VerilogNames(Writer):
+class VerilogNames(ExpressionWriter):
     """Writer of names and expressions of one subcircuit instance in Verilog-A."""
 
     module: Module
@@ -389,7 +389,7 @@ def _steady_value(part: Element, names: VerilogNames) -> str:
 def _switch_resistance(part: Element, names: VerilogNames) -> str:
     """Return the resistance of a switch as a function of its control voltage."""
     model = names.scope.models.get(part.model.lower())
-    parameters = _SWITCH_DEFAULTS | (lower_names(model.parameters) if model else {})
+    parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
     worth = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
     if (
         not model
@@ -452,7 +452,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
     replaced = set(map(attrgetter("filename"), modules))
     main = f"{deck.name}_osdi.cir"
     compiled = " && ".join(f"openvaf-r {stem}.va" for stem in stems.values())
-    tree = deck.printed_for(
+    tree = deck.tree_with_usage(
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )

@@ -165,7 +165,7 @@ class AcousticPart(PartType[FluidKeysT]):
         circuit = Circuit(name, names, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
         text = format_comment(title)
-        return (Subcircuit(name, pins, network.params, tree, title=text, head_lines=len(head)),)
+        return (Subcircuit(name, pins, network.params, tree, title=text, header_lines=len(head)),)
 
     def _write_items(
         self, part: Part[FluidKeysT], network: AcousticNetwork, *, noisy: bool

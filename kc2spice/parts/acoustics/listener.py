@@ -256,7 +256,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         names = tuple(pin.name for pin in pins)
         circuit = Circuit(name, names, parameter_defaults_of(params), items, notes=head)
         tree, text = Circuit(items=(circuit,)), format_comment(title)
-        return (Subcircuit(name, pins, params, tree, title=text, head_lines=len(head)),)
+        return (Subcircuit(name, pins, params, tree, title=text, header_lines=len(head)),)
 
     # --- results ----------------------------------------------------------------------------------
 

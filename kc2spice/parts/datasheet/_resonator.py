@@ -31,7 +31,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.prefixes import abbreviate
+from kc2spice.netlist.prefixes import abbreviate_number
 from kc2spice.netlist.spelling import LEAK_RATE, format_comment
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
@@ -220,7 +220,12 @@ class ResonatorPart(NumberedPart[KeysT]):
         tree = Circuit(items=(circuit,))
         return (
             Subcircuit(
-                name, pins, content.params, tree, title=format_comment(title), head_lines=len(head)
+                name,
+                pins,
+                content.params,
+                tree,
+                title=format_comment(title),
+                header_lines=len(head),
             ),
         )
 
@@ -334,7 +339,7 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
     """Return the tolerance range of a parameter for the header; empty without a tolerance."""
     if tolerance is None:
         return ""
-    low, high = (abbreviate(value * (1 + sign * tolerance)) for sign in (-1, 1))
+    low, high = (abbreviate_number(value * (1 + sign * tolerance)) for sign in (-1, 1))
     return f", tolerance {100 * tolerance:.4g} % ({low} to {high})"
 
 

@@ -29,7 +29,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.emitted import accelerates_frame, reaction_mass
+from kc2spice.synthesis.circuit_error import accelerates_frame, reaction_mass
 from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.realize import apply_unit_load
 
