@@ -104,8 +104,7 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask (n,) of the times from ``first`` to ``last`` and of one neighbour on each
-    side."""
+    """Return a mask (n,) of the times from ``first`` to ``last`` and of two neighbours."""
     import numpy as np  # imported here, because modules without figures import this module too
 
     low, high = np.searchsorted(t, (first, last))

@@ -92,9 +92,9 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
 
     Raises
     ------
-    UsageError : the file is missing, a line could execute programs or write files, a card changes
-        the meaning of the parts, the analysis differs from the scene's analysis, or a required
-        vector is not saved or does not exist.
+    UsageError : the file is missing, a line could execute programs or write files, or a card
+        changes the meaning of the parts. Also: the analysis differs from the scene's analysis, or a
+        required vector is not saved or does not exist.
     """
     if path.suffix == ".toml":
         raise UsageError(

@@ -267,8 +267,10 @@ def _card_text(card: Card) -> str:
 def _make_unknown_name_error(
     card: Card, message: str, name: str, known: Collection[str], otherwise: str
 ) -> UsageError:
-    """Make the error of a name that a netlist lacks; ``otherwise`` is the advice without a
-    similar name."""
+    """Make the error about a name that a netlist lacks.
+
+    ``otherwise`` is the advice if no known name is similar.
+    """
     expected = f"one of {list_candidates(name, sorted(known))}" if known else None
     near = difflib.get_close_matches(name.lower(), list(known), 1)
     hint = f"did you mean {near[0]!r}?" if near else otherwise

@@ -106,7 +106,8 @@ class NodalCircuit:
         Parameters
         ----------
         values : parameters of the instance, keyed by lower-case name; all others have their
-        defaults. grounded : pins of the instance at ground.
+            default values.
+        grounded : pins of the instance at ground.
         sources : additional voltage sources to ground: the node of each source, keyed by its name.
         """
         elements = list(self.elements)

@@ -666,8 +666,8 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
 
     A step across a kink would change the energy of a spring. ngspice shortens its steps until the
     control voltage of a switch is within 0.05 V of the threshold. The control voltage is 10 kV per
-    um of displacement, or 100 V per unit of a function of states, so that the steps before fast
-    motion across a kink do not become too small.
+    um of displacement, or 100 V per unit of a function of states. With these gains, the steps
+    before a fast crossing of a kink do not become too small.
     """
     moved = {b.name: b for b in declaration.displacements}
     inner = {*declaration.states, *declaration.signals}

@@ -1,7 +1,7 @@
 """Keys of parts with conductors whose resistance depends on the temperature of ``heat``.
 
-The resistance is ``R0 (1 + alpha (T - T0))`` with the temperature coefficient ``alpha``, the
-temperature rise ``T`` of the pin ``heat`` over the pin ``ambient``, and the reference ``T0``. A
+The resistance is ``R0 (1 + alpha (T - T0))``. Here ``alpha`` is the temperature coefficient, ``T``
+the temperature of the pin ``heat`` relative to the pin ``ambient``, and ``T0`` the reference. A
 declaration contains the names of the conductors.
 """
 

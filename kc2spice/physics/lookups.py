@@ -179,11 +179,11 @@ def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number,
     """Return the points of the functions ``f`` and ``b``, so that ``f - w b`` is smooth.
 
     ``f`` interpolates the equally spaced ``values`` linearly, and ``b`` interpolates half of their
-    second differences. With ``w = t (1 - t)`` at the position t from 0 to 1 within a cell, ``f - w
-    b`` is the mean of the parabolas through three neighbours (Overhauser 1968). Its slope is
-    continuous, and its error is of the third order in the cell size. One extrapolated value at each
-    end, from a cubic polynomial, preserves this order up to both ends. Beyond the ends the function
-    is constant.
+    second differences. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. Then ``f
+    - w b`` is the weighted mean of two parabolas, each through three neighbours (Overhauser 1968).
+    Its slope is continuous, and its error is of the third order in the cell size. One extrapolated
+    value at each end, from a cubic polynomial, preserves this order up to both ends. Beyond the
+    ends the function is constant.
 
     The result contains only the necessary points of ``b``, because ngspice reads a table in a time
     proportional to the square of its length. Points are omitted if this changes ``f - w b`` by less

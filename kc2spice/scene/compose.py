@@ -36,10 +36,10 @@ def join_parts(scene: Scene) -> Scene:
 
     Raises
     ------
-    UsageError : an unknown part or pin, pins of one part whose names differ only in letter case,
-        pins of different kinds on one net, a required pin that is not joined, a part whose two pins
-        are joined to each other, two outputs on one net, a loop of ideal sources, or displacements
-        in different frames; ``where`` is a dotted key.
+    UsageError : an unknown part or pin; pins of one part whose names differ only in letter case;
+        pins of different kinds on one net; a required pin that is not joined. Also: a part whose
+        two pins are joined to each other; two outputs on one net; a loop of ideal sources;
+        displacements in different frames. ``where`` is a dotted key.
     """
     scene = _with_nets(replace(scene, frames={}, nets={}))
     if frames := find_frames(scene):

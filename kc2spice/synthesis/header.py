@@ -51,8 +51,8 @@ def wrap_comment(text: str) -> list[str]:
 def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines about a reduced model and its error estimate.
 
-    The lines also state the error of the circuit and the errors above the band, and whether
-    stability and passivity are proven unless both are.
+    The lines also state the error of the circuit, and the errors above the band. If stability or
+    passivity is not proven, the lines state this too.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
@@ -86,11 +86,11 @@ def part_header(
 ) -> tuple[str, ...]:
     """Return the header of a part: all comment lines above its ``.subckt``.
 
-    The header consists of the title, an instance card to copy, the origin, comments about a reduced
-    model (``rom``) and the mesh, the sign convention, validity and rating, and one line for each
-    pin and each parameter. ``title`` is ``NAME: DESCRIPTION``. ``mesh`` describes the error
-    estimate of the mesh. ``sign`` is for parts with mechanical pins. ``heat`` describes the heat
-    pins.
+    The header consists of the title, an instance card to copy, the origin, and comments about a
+    reduced model (``rom``) and the mesh. Sign convention, validity and rating follow, then one line
+    for each pin and each parameter. ``title`` is ``NAME: DESCRIPTION``. ``mesh`` describes the
+    error estimate of the mesh. ``sign`` is for parts with mechanical pins. ``heat`` describes the
+    heat pins.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)

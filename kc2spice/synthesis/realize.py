@@ -121,10 +121,10 @@ def subcircuit(
 
     Raises
     ------
-    UsageError : ``rom`` is no linear model, a port is unknown, a name is used internally by the
-        subcircuit, the model has no state-space form, or no passive network has the capacitances
-        between the electrodes. With ``noise``: the matrices are not symmetric. With ``heat``:
-        losses are coupled.
+    UsageError : ``rom`` is no linear model, a port is unknown, the subcircuit uses a name
+        internally, or the model has no state-space form. Also: no passive network has the
+        capacitances between the electrodes. With ``noise``: the matrices are not symmetric. With
+        ``heat``: losses are coupled.
 
     Examples
     --------

@@ -350,7 +350,7 @@ class OutputLaws:
 
     At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
     z + C B u``. At an acceleration port, they provide the force ``m a - y''`` with ``y'' = C A^2 z
-    + C A B u``, where C B is zero because all moving parts have inertia.
+    + C A B u``. There, C B is zero because all moving parts have inertia.
     """
 
     terminals: Sequence[PortTerminal]
