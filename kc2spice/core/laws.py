@@ -62,10 +62,10 @@ class LawPin:
 class WaveCombination:
     """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
 
-    ``terms`` are the pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by
-    ``j omega``, which converts a current to a charge. If ``rate`` is true, an ac result is
-    multiplied by ``j omega`` and by a :func:`low_pass` with the corner frequency ``corner``
-    [rad/s]; in other analyses the result does not exist.
+    ``terms`` are pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by ``j
+    omega``, which converts a current to a charge. If ``rate`` is true, an ac result is multiplied
+    by ``j omega`` and by a :func:`low_pass_response` with the corner frequency ``corner`` [rad/s];
+    in other analyses the result does not exist.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -94,7 +94,7 @@ class WaveCombination:
             return None if self.rate else np.asarray(value + self.constant)
         s = 2j * np.pi * scale
         if self.rate:
-            return np.asarray(s * low_pass(s, self.corner) * value)
+            return np.asarray(s * low_pass_response(s, self.corner) * value)
         return np.asarray(value / s) if self.charge else value
 
 
@@ -114,7 +114,7 @@ def evaluate_combinations(
     return result
 
 
-def low_pass(s: np.ndarray, corner: float) -> np.ndarray:
+def low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
     """Return the response of a second-order low-pass filter at complex frequencies ``s``.
 
     The response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)`` with the corner frequency w [rad/s],
@@ -124,12 +124,12 @@ def low_pass(s: np.ndarray, corner: float) -> np.ndarray:
     return np.asarray(1 / (1 + math.sqrt(2) * x + x**2))
 
 
-def scaled_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> WaveCombination:
+def scale_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> WaveCombination:
     """Make the combination of ``factor`` times one wave, plus ``constant``."""
     return WaveCombination(((factor, wave),), constant)
 
 
-def wave_difference(plus: str, minus: str) -> WaveCombination:
+def subtract_waves(plus: str, minus: str) -> WaveCombination:
     """Make the combination of the wave ``plus`` minus the wave ``minus``."""
     return WaveCombination(((1.0, plus), (-1.0, minus)))
 
@@ -665,7 +665,7 @@ class SignalBlock(Device):
         return slope @ e, slope
 
 
-def sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
+def make_sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
     """Make a block whose signal ``out`` is ``gain`` times the across quantity of the pin ``a``."""
     none, column = np.zeros((0, 0)), np.zeros((0, 1))
     D = np.array([[gain]])

@@ -382,7 +382,7 @@ def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
 
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
     """Return the hint for each unsupported key of a table, with the key to use in its place."""
-    return getattr(table, "absent", {})
+    return getattr(table, "unsupported_key_hints", {})
 
 
 def _explain_missing(
@@ -458,7 +458,7 @@ def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 def _help_command(schema: type[BaseModel]) -> str | None:
     """Return the command or page that lists all keys of a table."""
-    return getattr(schema, "listed", None)
+    return getattr(schema, "help_command", None)
 
 
 def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
@@ -919,8 +919,8 @@ class Section(BaseModel):
     """Base class of tables of a scene file, which rejects unknown keys and later changes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
-    listed: ClassVar[str] = "kc2spice scenes --keys"  # command that lists all keys and choices
-    absent: ClassVar[Mapping[str, str]] = {}  # hints for unsupported keys, keyed by name
+    help_command: ClassVar[str] = "kc2spice scenes --keys"  # lists all keys
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # by name of key
 
 
 Schema = TypeVar("Schema", bound=Section)

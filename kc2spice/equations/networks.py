@@ -19,7 +19,7 @@ from kc2spice.core.laws import (
     PortBody,
     SecondOrderBody,
     WaveCombination,
-    sensor_block,
+    make_sensor_block,
 )
 
 # SI value of the quantity that 1 V on a node represents, keyed by the kind of pin.
@@ -107,7 +107,7 @@ def connect_sensors(
             continue
         kind = kinds[others[0]]
         name = f"{net} signals"
-        sensors.append(sensor_block(name, 1 / NODE_UNITS[kind], kind))
+        sensors.append(make_sensor_block(name, 1 / NODE_UNITS[kind], kind))
         result[net] = (*others, f"{name}.a")
         result[name] = (*signals, f"{name}.out")
     return [*laws, *sensors], result

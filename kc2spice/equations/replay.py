@@ -48,7 +48,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
     """Return whether a pin's net joins a part without a law that may change the net's value."""
-    for part, end in laws.build.scene.joined(name, pin):
+    for part, end in laws.build.scene.joined_pins(name, pin):
         if part in laws.parts_without_law and _may_change_net(laws.build, part, end):
             return True
     return False

@@ -179,9 +179,10 @@ class Deck:
     evaluates, for runs without a raw file.
 
     A deck that the user has written has a ``text``, the syntax ``tree`` if known, and the texts of
-    included files in ``more``. If ``controlled`` is true, a controller may close a loop, and some
-    simulators need short time steps. If a simulator ignores or replaces statements of a ``trusted``
-    deck, the run only prints a warning. Nets in ``free_nets`` need no second connection.
+    included files in ``more``. If ``may_have_loop`` is true, a controller may close a loop, and
+    some simulators need short time steps. If a simulator ignores or replaces statements of a
+    ``trusted`` deck, the run only prints a warning. Nets in ``free_nets`` need no second
+    connection.
     """
 
     name: str
@@ -203,7 +204,7 @@ class Deck:
     text: str | None = None
     tree: Circuit | None = field(default=None, compare=False)
     more: Mapping[str, str] = field(default_factory=dict)
-    controlled: bool = True
+    may_have_loop: bool = True
     trusted: bool = False
     free_nets: frozenset[str] = frozenset()
 
@@ -414,7 +415,7 @@ class Deck:
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """Return the deck with further results."""
         result = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or ".save" not in map(_keyword, self._parse_text.items):
+        if self.text is None or ".save" not in map(_keyword_of, self._parse_text.items):
             return result
         card = Directive(".save", tuple(map(itemgetter(0), vectors.values())))
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
@@ -438,14 +439,14 @@ class Deck:
         return replace(self, command=Command("tran", tuple(words)), max_step=step)
 
 
-def _keyword(item: Item) -> str:
+def _keyword_of(item: Item) -> str:
     """Return the keyword of a card, empty for other items."""
     return item.keyword if isinstance(item, Directive) else ""
 
 
 def _find_analysis(items: Sequence[Item]) -> int | None:
     """Return the index of the first analysis; None if the items contain no analysis."""
-    return next((k for k, item in enumerate(items) if _keyword(item) in ANALYSES), None)
+    return next((k for k, item in enumerate(items) if _keyword_of(item) in ANALYSES), None)
 
 
 def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:

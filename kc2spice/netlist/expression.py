@@ -281,7 +281,7 @@ class _Parser:
         """Return the next token, but do not consume the token."""
         return _TOKEN.match(self.text, self.at)
 
-    def accept(self, *ops: str) -> str | None:
+    def accept_operator(self, *ops: str) -> str | None:
         """Consume the next token if it is one of the operators."""
         match = self.peek_token()
         if match and match["op"] in ops:
@@ -291,32 +291,32 @@ class _Parser:
 
     def expect_operator(self, op: str) -> None:
         """Consume an operator; raise an error if it is missing."""
-        if self.accept(op) is None:
+        if self.accept_operator(op) is None:
             raise self.error(f"{op} expected")
 
     def parse_choice(self) -> Tree:
         """Parse ``test ? yes : no`` or a simpler expression."""
-        test = self.level(0)
-        if self.accept("?") is None:
+        test = self.parse_binary(0)
+        if self.accept_operator("?") is None:
             return test
         yes = self.parse_choice()
         self.expect_operator(":")
         return Choice(test, yes, self.parse_choice())
 
-    def level(self, depth: int) -> Tree:
+    def parse_binary(self, depth: int) -> Tree:
         """Parse binary operations of one precedence level."""
         left = self.parse_unary()
         while (result := self.peek_token()) and _PRECEDENCE.get(result["op"], -1) >= depth:
             self.at = result.end()
-            left = Binary(result["op"], left, self.level(_PRECEDENCE[result["op"]] + 1))
+            left = Binary(result["op"], left, self.parse_binary(_PRECEDENCE[result["op"]] + 1))
         return left
 
     def parse_unary(self) -> Tree:
         """Parse a sign or negation."""
-        if op := self.accept("-", "+", "!"):
+        if op := self.accept_operator("-", "+", "!"):
             return Unary(op, self.parse_unary())
         value = self.parse_primary()
-        if self.accept("^", "**"):
+        if self.accept_operator("^", "**"):
             return Binary("^", value, self.parse_unary())
         return value
 
@@ -339,7 +339,7 @@ class _Parser:
 
     def parse_name_or_call(self, name: str) -> Tree:
         """Parse a name, or a function call if a parenthesis follows the name."""
-        if self.accept("(") is None:
+        if self.accept_operator("(") is None:
             return Name(name)
         if name.lower() in ("v", "i"):
             end = self.text.find(")", self.at)
@@ -348,9 +348,9 @@ class _Parser:
                 raise self.error("a node expected")
             return CircuitVariable(name.lower(), tuple(map(str.strip, inside.split(","))))
         arguments: list[Tree] = []
-        if self.accept(")") is None:
+        if self.accept_operator(")") is None:
             arguments.append(self.parse_choice())
-            while self.accept(","):
+            while self.accept_operator(","):
                 arguments.append(self.parse_choice())
             self.expect_operator(")")
         return Call(name.lower(), tuple(arguments))

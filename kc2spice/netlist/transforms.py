@@ -211,7 +211,7 @@ def _move_into_instance(expression: str, instance: str) -> str:
     return join_terms(signed)
 
 
-def prepare_noise(
+def add_noise_results(
     deck: Deck, output: str, owners: Iterable[str], noisy: Mapping[str, Iterable[str]]
 ) -> Deck:
     """Return the deck with the noise density of each noisy resistor as a result.

@@ -32,7 +32,7 @@ from kc2spice.netlist.expression import (
 )
 from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
-from kc2spice.physics.linkages import Linkages, find_linkages
+from kc2spice.physics.linkages import FluxLinkages, find_linkages
 from kc2spice.physics.lookups import CELL_NODE, WEIGHT_NODE, Lookups, TableFunction, has_tables
 from kc2spice.physics.symbolic import (
     ONE,
@@ -41,10 +41,10 @@ from kc2spice.physics.symbolic import (
     differentiate_tree,
     divide_trees,
     find_kinks,
+    find_names,
     format_tree,
     is_affine,
     multiply_trees,
-    names,
     subtract_trees,
     weighted_sum,
 )
@@ -162,7 +162,7 @@ def _write_items(
         yield from _write_node(name, multiply_trees(Number("1e6"), tree), nodes, rest)
 
 
-def _inner_voltages(declaration: Declaration, linkages: Linkages | None) -> dict[str, Tree]:
+def _inner_voltages(declaration: Declaration, linkages: FluxLinkages | None) -> dict[str, Tree]:
     """Return the voltages to ground of the inner nodes of a part with lookups.
 
     The reference pin of a part with lookups is at 0 V. ngspice evaluates the voltage of one node
@@ -174,7 +174,7 @@ def _inner_voltages(declaration: Declaration, linkages: Linkages | None) -> dict
     return {name: CircuitVariable("v", (node,)) for name, node in inner.items()}
 
 
-def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tree, ...]:
+def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
     """Return the laws that may contain tables: forces, and voltages due to motion.
 
     Raises
@@ -230,7 +230,7 @@ def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[L
 
 
 def _write_linkages(
-    linkages: Linkages, lookups: Lookups, nodes: Mapping[str, Tree]
+    linkages: FluxLinkages, lookups: Lookups, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Yield the cards of currents that are functions of flux linkages.
 
@@ -268,7 +268,7 @@ def _write_linkage(
     n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
     resistance = differentiate_tree(drop, n)
-    varying = names(resistance) & declaration.variables
+    varying = find_names(resistance) & declaration.variables
     if varying - {TEMPERATURE}:
         raise UsageError(
             "the resistance in series with a tabulated inductance is not constant",
@@ -304,7 +304,7 @@ def _write_current(
     ngspice.
     """
     start, end = ends
-    dependencies = sorted(names(tree) & set(nodes))
+    dependencies = sorted(find_names(tree) & set(nodes))
     voltages = [_find_single_voltage(nodes[item]) for item in dependencies]
     smooth = not find_kinks(tree) and not _circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
@@ -559,7 +559,7 @@ def _write_force(
     yield f"*   {b.through} = {format_tree(declaration.name_power_series(force))}"
     terms = lookups.split_law(add_trees(force, noise))
     for k, term in enumerate(terms):
-        for label in sorted(names(term) & set(lookups.inline_formulas)):
+        for label in sorted(find_names(term) & set(lookups.inline_formulas)):
             yield f"*   the lookup of {lookups.inline_formulas[label]}"
         name = f"B{node}{k + 1 if len(terms) > 1 else ''}"
         yield Element.behaviour(name, *ends, "I", _write_law(declaration, term, nodes))
@@ -676,7 +676,7 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
     for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):
-        inputs = names(argument) & {*declaration.coordinates, *inner}
+        inputs = find_names(argument) & {*declaration.coordinates, *inner}
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:

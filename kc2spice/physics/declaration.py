@@ -60,9 +60,9 @@ from kc2spice.physics.symbolic import (
     divide_trees,
     evaluate_tree,
     find_kinks,
+    find_names,
     is_affine,
     multiply_trees,
-    names,
     parse_simplified,
     subtract_trees,
 )
@@ -330,7 +330,7 @@ class Declaration:
         self._check_branches()
         known = {*self.parameters, *self.variables, *self.signals}
         for what, tree in self._all_trees():
-            if unknown := sorted(names(tree) - known):
+            if unknown := sorted(find_names(tree) - known):
                 raise _unknown_name(self.name, what, unknown, known, self._coordinate_hint(unknown))
         self._check_names("energy", self._tree("energy"), set(names_of(self.displacements)))
         self._check_names("coenergy", self._tree("coenergy"), set(names_of(self.acting_branches)))
@@ -364,7 +364,7 @@ class Declaration:
 
     def _check_names(self, what: str, tree: Tree, allowed: set[str]) -> None:
         """Reject variables of the expression ``what`` that are not ``allowed``."""
-        strange = sorted(names(tree) - allowed - set(self.parameters))
+        strange = sorted(find_names(tree) - allowed - set(self.parameters))
         if strange:
             words = ", ".join(strange)
             rates = {b.rate for b in self.branches}
@@ -381,7 +381,7 @@ class Declaration:
         """Reject a content without effect, as a function of a displacement and not of its rate."""
         tree = self._tree("content")
         variables = {b.lossy_variable for b in self.acting_branches}
-        if tree != ZERO and not names(tree) & variables:
+        if tree != ZERO and not find_names(tree) & variables:
             raise UsageError(
                 "the content has no effect",
                 where=self.name,
@@ -632,7 +632,7 @@ class Declaration:
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
         """Return the names of the variables in an expression."""
-        return names(tree).difference(self.parameters)
+        return find_names(tree).difference(self.parameters)
 
     @cached_property
     def constant_trees(self) -> dict[str, Tree]:
@@ -825,7 +825,7 @@ class Declaration:
         """Displacement branches whose rates occur in an equation."""
         trees = [self._tree("kinetic"), self._tree("content"), *self._powers_of_forces]
         trees += (*self.state_rates.values(), *self.signal_trees.values())
-        occurring = frozenset[str]().union(*map(names, trees))
+        occurring = frozenset[str]().union(*map(find_names, trees))
         return tuple(b for b in self.branches if b.rate in occurring)
 
     def values(self, keys: Section) -> dict[str, float]:

@@ -96,20 +96,20 @@ class Junction(Device):
         return (*ends, LawPin("inner", "electrical")) if self.series_resistance else ends
 
     @property
-    def _plus(self) -> str:
+    def _positive_pin(self) -> str:
         """Pin at the positive end of the junction."""
         return "inner" if self.series_resistance else "anode"
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Voltages of the junction and of the resistance."""
-        junction = AcrossInput(self._plus, "cathode")
+        junction = AcrossInput(self._positive_pin, "cathode")
         return (junction, AcrossInput("anode", "inner")) if self.series_resistance else (junction,)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
         """Currents of the junction and of the resistance."""
-        junction = Flow(self._plus, "cathode")
+        junction = Flow(self._positive_pin, "cathode")
         return (junction, Flow("anode", "inner")) if self.series_resistance else (junction,)
 
     charged = (0,)

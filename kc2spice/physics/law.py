@@ -22,8 +22,8 @@ from kc2spice.physics.symbolic import (
     compile_function,
     differentiate_tree,
     find_kinks,
+    find_names,
     multiply_trees,
-    names,
     replace_kinks,
     subtract_trees,
 )
@@ -153,7 +153,7 @@ class DeclaredLaw(Device):
         trees = (*map(d.direct_flow, d.acting_branches), *laws)
         for tree, name in product(map(self._substitute_inputs, trees), self._inputs):
             slope = replace_kinks(differentiate_tree(tree, name), self._corners)
-            if not names(slope).isdisjoint(self._inputs):
+            if not find_names(slope).isdisjoint(self._inputs):
                 return False
         return not self.has_stored_quantities
 

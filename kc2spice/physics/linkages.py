@@ -23,11 +23,17 @@ from kc2spice.core.naming import names_of
 from kc2spice.netlist.expression import Name, Tree, substitute_names
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.lookups import Lookups, has_tables
-from kc2spice.physics.symbolic import ZERO, add_trees, differentiate_tree, multiply_trees, names
+from kc2spice.physics.symbolic import (
+    ZERO,
+    add_trees,
+    differentiate_tree,
+    find_names,
+    multiply_trees,
+)
 
 
 @dataclass(frozen=True)
-class Linkages:
+class FluxLinkages:
     """Flux linkages of the current branches of a declaration."""
 
     declaration: Declaration
@@ -44,7 +50,7 @@ class Linkages:
         flux, currents = map(self.declaration.stored_quantity, self.branches), self.current_names
         rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
         for tree in chain.from_iterable(rows):
-            if saturating := sorted(names(tree).intersection(currents)):
+            if saturating := sorted(find_names(tree).intersection(currents)):
                 raise UsageError(
                     "a tabulated inductance depends on a current",
                     where=self.declaration.name,
@@ -83,10 +89,10 @@ class Linkages:
         return mean, mean * np.linalg.inv(matrix)
 
 
-def find_linkages(declaration: Declaration) -> Linkages | None:
+def find_linkages(declaration: Declaration) -> FluxLinkages | None:
     """Return the flux linkages of the currents; None if no inductance contains a table."""
     branches = tuple(b for b in declaration.acting_branches if b.flows)
-    result = Linkages(declaration, branches)
+    result = FluxLinkages(declaration, branches)
     for branch in branches:
         flux = declaration.stored_quantity(branch)
         if has_tables(flux, declaration.tables):

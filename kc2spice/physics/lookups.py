@@ -88,14 +88,14 @@ class Lookups:
         uses = Counter[WeightedCalls]()
         for law in laws:
             uses.update(calls for _, calls in split_calls(law, tables)[0])
-        self._check_arguments(uses)
+        self._require_common_argument(uses)
         self.labels: dict[WeightedCalls, str] = {}
         for calls in uses:
             (first, _), *others = calls
             self.labels[calls] = f"lookup_{len(self.labels)}" if others else first.function
         self.repeated = tuple(calls for calls, count in uses.items() if count > 1)
 
-    def _check_arguments(self, uses: Iterable[WeightedCalls]) -> None:
+    def _require_common_argument(self, uses: Iterable[WeightedCalls]) -> None:
         """Reject tables with different arguments or ranges, because all tables share one cell."""
         self.argument: Tree | None = None
         ranges = {table.range for table in self.tables.values()}

@@ -20,7 +20,7 @@ from kc2spice.scene.part_records import Vector
 
 
 @dataclass(frozen=True)
-class LossHeat(laws.Device):
+class LossHeatLaw(laws.Device):
     """Law of the heat flow ``sum weight rate^2`` [W] out of the pin ``heat``."""
 
     name: str
@@ -83,7 +83,7 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))
     rows[np.arange(len(lossy)), lossy] = reach
-    heat = LossHeat(f"{n} losses", tuple(map(float, damping[lossy] / reach**2)))
+    heat = LossHeatLaw(f"{n} losses", tuple(map(float, damping[lossy] / reach**2)))
     size = len(lossy)
     known = model.ports[0]
     ports = tuple(type(known)(pin, TRANSLATION.port) for pin in heat.rate_pins)
@@ -99,8 +99,8 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     body = replace(body, model=wider, ports=(*body.ports, *more))
     ends = tuple((pin, f"{heat.name}.{pin}") for pin in (HEAT, AMBIENT))
     results = {
-        f"{n}.{TEMPERATURE}": laws.wave_difference(*(pin for _, pin in ends)),
-        f"{n}.{HEAT}": laws.scaled_wave(f"{heat.name}.{HEAT}.through"),
+        f"{n}.{TEMPERATURE}": laws.subtract_waves(*(pin for _, pin in ends)),
+        f"{n}.{HEAT}": laws.scale_wave(f"{heat.name}.{HEAT}.through"),
     }
     nets = tuple((f"{n}.{pin}", f"{heat.name}.{pin}") for pin in heat.rate_pins)
     return replace(

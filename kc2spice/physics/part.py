@@ -32,7 +32,7 @@ from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, names
+from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, find_names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
 
 # Number of impacts on a stop without a warning. Two to nine impacts caused errors of up to 20 %.
-MAX_STRIKES = 1.0
+MAX_IMPACTS = 1.0
 REBOUND_ADVICE = (
     "what follows may hang on every step: error_budget estimates the error of each metric"
 )
@@ -186,15 +186,15 @@ class DeclaredPart(PartType[KeysT]):
         results = {}
         for b in d.open_branches:  # no loops, because the loops of a full model differ
             if b.plus not in d.inner:
-                results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
+                results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.plus}.through")
             elif b.flows:
-                results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.name}")
+                results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.name}")
             if d.metered:
-                results[f"{n}.{b.across}"] = laws.wave_difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+                results[f"{n}.{b.across}"] = laws.subtract_waves(f"{n}.{b.plus}", f"{n}.{b.minus}")
             if b in d.inertial_branches:
-                results[f"{n}.v"] = laws.scaled_wave(f"{n}.{b.plus}.rate")
+                results[f"{n}.v"] = laws.scale_wave(f"{n}.{b.plus}.rate")
         for state in d.states:
-            results[f"{n}.{state}"] = laws.scaled_wave(f"{n}.{state}")
+            results[f"{n}.{state}"] = laws.scale_wave(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
         law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
         return laws.Equations((law,), law.pin_pairs, results)
@@ -213,12 +213,12 @@ class DeclaredPart(PartType[KeysT]):
             positions = known.keys() & set(names_of(d.displacements))
             forces = map(d.direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
-                if positions.isdisjoint(names(tree)):  # the reversal of a flow is no impact
+                if positions.isdisjoint(find_names(tree)):  # the reversal of a flow is no impact
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(
-                    f"strikes of {part.name}", strikes, MAX_STRIKES, "", REBOUND_ADVICE, "warn"
+                    f"strikes of {part.name}", strikes, MAX_IMPACTS, "", REBOUND_ADVICE, "warn"
                 )
 
     def check_operating_point(

@@ -87,7 +87,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
                 continue
             case Call("integral", (_, Name(_))) | Call("clip" | "above", (_,)):
                 continue
-            case Call("poly", (_, *series)) if series and not any(map(names, series)):
+            case Call("poly", (_, *series)) if series and not any(map(find_names, series)):
                 continue
             case Call(name, (_,)) if name in _CHAIN_RULES or name in tables:
                 continue
@@ -156,14 +156,16 @@ def format_tree(tree: Tree) -> str:
     return _CardWriter().write(tree)
 
 
-def names(tree: Tree) -> frozenset[str]:
+def find_names(tree: Tree) -> frozenset[str]:
     """Return the names that occur in ``tree``."""
     return frozenset(node.text for node in walk_tree(tree) if isinstance(node, Name))
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
     """Return whether the derivatives of ``tree`` with respect to ``variables`` are constant."""
-    return all(variables.isdisjoint(names(differentiate_tree(tree, name))) for name in variables)
+    return all(
+        variables.isdisjoint(find_names(differentiate_tree(tree, name))) for name in variables
+    )
 
 
 def add_trees(*trees: Tree) -> Tree:
@@ -200,45 +202,45 @@ def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
 @cache
 def differentiate_tree(tree: Tree, name: str) -> Tree:
     """Return the exact, simplified derivative of ``tree`` with respect to ``name``."""
-    return simplify(_derivative(tree, name))
+    return simplify(_differentiate(tree, name))
 
 
-def _derivative(tree: Tree, name: str) -> Tree:
+def _differentiate(tree: Tree, name: str) -> Tree:
     """Return the derivative of a tree before simplification."""
     match tree:
         case Name(found):
             return ONE if found == name else ZERO
         case Unary(op, value):
-            return Unary(op, _derivative(value, name))
+            return Unary(op, _differentiate(value, name))
         case Binary("+" | "-" as op, left, right):
-            return _sum(op, _derivative(left, name), _derivative(right, name))
+            return _make_sum(op, _differentiate(left, name), _differentiate(right, name))
         case Binary("*", left, right):
-            first = _product(_derivative(left, name), right)
-            return _sum("+", first, _product(left, _derivative(right, name)))
+            first = _make_product(_differentiate(left, name), right)
+            return _make_sum("+", first, _make_product(left, _differentiate(right, name)))
         case Binary("/", above, below):
-            slope = _product(above, _derivative(below, name))
+            slope = _make_product(above, _differentiate(below, name))
             fall = slope if slope == ZERO else Binary("/", slope, Binary("*", below, below))
-            return _sum("-", Binary("/", _derivative(above, name), below), fall)
+            return _make_sum("-", Binary("/", _differentiate(above, name), below), fall)
         case Call("integral", (f, Name(x))):
             inner = Call("integral", (differentiate_tree(f, name), Name(x)))
-            return f if x == name else inner if name in names(f) else ZERO
+            return f if x == name else inner if name in find_names(f) else ZERO
         case Call("max", (_, value)):
-            return Binary("*", _step_function(value), _derivative(value, name))
+            return Binary("*", _step_function(value), _differentiate(value, name))
         case Call("poly", (value, _, *higher)):
             series = []
             for k, coefficient in enumerate(higher, 1):
                 series.append(_make_number(k * float(evaluate_tree(coefficient, {}))))
             slope = Call("poly", (value, *series)) if series else ZERO
-            return Binary("*", slope, _derivative(value, name))
+            return Binary("*", slope, _differentiate(value, name))
         case Call("clip", (value,)):
             free = Binary("-", ONE, Binary("+", *map(_step_function, _clip_excesses(value))))
-            return Binary("*", free, _derivative(value, name))
+            return Binary("*", free, _differentiate(value, name))
         case Call(function, (value,)):
             table = function not in _CHAIN_RULES
             outer = (
                 Call(function + SLOPE_SUFFIX, (value,)) if table else _chain_rule(function, value)
             )
-            return _product(outer, _derivative(value, name))
+            return _make_product(outer, _differentiate(value, name))
     return ZERO  # numbers, and step functions, which are constant except at the step
 
 
@@ -247,12 +249,12 @@ def _chain_rule(function: str, value: Tree) -> Tree:
     return substitute_names(parse_expression(_CHAIN_RULES[function]), {"u": value})
 
 
-def _product(left: Tree, right: Tree) -> Tree:
+def _make_product(left: Tree, right: Tree) -> Tree:
     """Return a product; zero if a factor is zero, as in most derivatives of a long sum."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 
-def _sum(op: str, left: Tree, right: Tree) -> Tree:
+def _make_sum(op: str, left: Tree, right: Tree) -> Tree:
     """Return a sum or difference without zero terms."""
     return left if right == ZERO else Binary(op, left, right)
 
@@ -354,7 +356,7 @@ def simplify(tree: Tree) -> Tree:
 
 
 def _nonzero_terms(tree: Tree) -> list[_Product]:
-    return [term for term in _terms(tree) if term.coefficient]
+    return [term for term in _list_terms(tree) if term.coefficient]
 
 
 def _build_sum(terms: list[_Product]) -> Tree:
@@ -367,7 +369,7 @@ def _build_sum(terms: list[_Product]) -> Tree:
     return total
 
 
-def _terms(tree: Tree) -> list[_Product]:
+def _list_terms(tree: Tree) -> list[_Product]:
     """Return the terms of a sum as products."""
     match tree:
         case Number(value):
@@ -410,7 +412,8 @@ def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
             yield from _sum_terms(right, -sign if op == "-" else sign)
         case _:
             yield from (
-                _Product(sign * t.coefficient, t.numerator, t.denominator) for t in _terms(tree)
+                _Product(sign * t.coefficient, t.numerator, t.denominator)
+                for t in _list_terms(tree)
             )
 
 

@@ -295,7 +295,7 @@ def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
     """Return whether the only other part at a pin of a body reports the pin's current."""
     build = Build(scene, {})
     records = {}
-    for name, _ in scene.joined(body.name, pin):
+    for name, _ in scene.joined_pins(body.name, pin):
         part = scene.parts[name]
         if not part.reduced:
             records[name] = BuildRecord(EquilibriumConditions(), part.type.vectors(part, build))

@@ -476,7 +476,7 @@ class WiredScene(JoinedScene):
         """Return the netlist nodes of these ``pins`` of a part, in the same order."""
         return [self.nets[part, pin] for pin in pins]
 
-    def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
+    def joined_pins(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
         """Return the other pins on the net of a pin; empty for a pin on ground."""
         net = self.nets[part, pin]
         if net == "0":
@@ -485,7 +485,7 @@ class WiredScene(JoinedScene):
 
     def joined_types(self, part: str, pin: str) -> set[str]:
         """Return the part types of the other parts on the net of a pin."""
-        return {self.parts[name].type.name for name, _ in self.joined(part, pin)}
+        return {self.parts[name].type.name for name, _ in self.joined_pins(part, pin)}
 
 
 @dataclass(frozen=True, eq=False)

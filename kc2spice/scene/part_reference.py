@@ -33,7 +33,7 @@ def describe_part_types() -> Iterator[PartTypeReference]:
     """Yield the descriptions of all part types, sorted by name."""
     examples = _find_examples()
     for name in load_part_types():
-        yield _describe(name, examples)
+        yield _describe_type(name, examples)
 
 
 def describe_part_type(name: str) -> PartTypeReference:
@@ -60,10 +60,10 @@ def describe_part_type(name: str) -> PartTypeReference:
             PARTS_COMMAND,
             advice=advice,
         )
-    return _describe(name, {} if kind.example else _find_examples())
+    return _describe_type(name, {} if kind.example else _find_examples())
 
 
-def _describe(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
+def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
     """Return the description of a part type.
 
     ``examples`` contains a built-in scene for each part type that occurs in one.

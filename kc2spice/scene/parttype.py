@@ -36,7 +36,7 @@ def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
     The current of a source with several loads is the sum of the currents into these loads, so that
     the result is None.
     """
-    others = build.scene.joined(part.name, pin)
+    others = build.scene.joined_pins(part.name, pin)
     # the current of another body would again follow from the parts at the pin
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
@@ -53,7 +53,7 @@ def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
 
     The result is None if one of the other parts does not report its flow.
     """
-    others = build.scene.joined(part.name, pin)
+    others = build.scene.joined_pins(part.name, pin)
     if len(others) == 1:
         return find_current_into(part, pin, build)
     terms: list[tuple[float, str]] = []

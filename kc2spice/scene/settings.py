@@ -39,7 +39,7 @@ FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE_PATTERN}+$", max_length=2
 class Rom(Section):
     """Keys of a reduction: either a fixed order, or a tolerance over a band (default)."""
 
-    absent: ClassVar[Mapping[str, str]] = {
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = {
         "method": "leave it out: scenes choose the method; a method by its name is selected by "
         "kc2spice reduce SCENE:PART --method NAME, or by kc.reduce in Python"
     }
@@ -328,12 +328,15 @@ class ErrorLimits(Section):
 
 # unit of the scale of each type of analysis
 ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
-SMALL_SIGNALS = ("ac", "noise")  # types of analyses that are linear about an operating point
+SMALL_SIGNAL_ANALYSES = (
+    "ac",
+    "noise",
+)  # types of analyses that are linear about an operating point
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
     """Return the default spacing of frequencies: linear if the range begins at 0 Hz."""
-    from_zero = keys.get("type") in SMALL_SIGNALS and keys.get("start") == 0
+    from_zero = keys.get("type") in SMALL_SIGNAL_ANALYSES and keys.get("start") == 0
     return "linear" if from_zero else "log"
 
 
@@ -393,7 +396,7 @@ class Analysis(Section):
     @property
     def is_small_signal(self) -> bool:
         """Whether the analysis is linear about an operating point, over a frequency range."""
-        return self.type in SMALL_SIGNALS
+        return self.type in SMALL_SIGNAL_ANALYSES
 
 
 class Probe(Section):

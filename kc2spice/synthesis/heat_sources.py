@@ -19,7 +19,7 @@ from kc2spice.netlist.spelling import format_number
 LOSS_NODE = "losses"  # inner node at which all heat flows meet
 METER = "Vheat"  # 0 V source that measures the flow into the heat pin
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
-_COMMENT = (
+_HEAT_COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
@@ -28,7 +28,7 @@ _LEAST_DAMPING = "1p"  # smallest divisor
 
 def meter_cards() -> Iterator[Line]:
     """Yield the ammeter of the heat pin, through which all heat flows pass."""
-    yield from _COMMENT
+    yield from _HEAT_COMMENT
     yield Element.of(METER, HEAT, LOSS_NODE, "0")
 
 

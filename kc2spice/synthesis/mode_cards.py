@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # F, of a state of a fast mode; converts chgtol to a tolerance of displacement
 STATE_CAPACITANCE = 1e-6
 STATE_CONDUCTANCE = 1.0  # S, of a massless mode
-EQUAL_GAIN = 1e-6  # largest relative difference of gains that count as equal
+EQUAL_GAIN_TOLERANCE = 1e-6  # largest relative difference of gains that count as equal
 # Value of 1 / Q of a mode below which the states are q and q + q'/w. With the states q and q'/w,
 # ngspice (pivrel 1e-3) would not choose diagonal pivots at an operating point. For 178 modes, the
 # factors would then have 80 times as many fill-ins, and the solution would take 100 times as long
@@ -268,7 +268,7 @@ def describe_branch(
         shares = size * [t.port.domain in domains for t in terminals]
         if not shares.any():
             continue
-        port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN)))
+        port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN_TOLERANCE)))
         m, c, k = map(float, np.array([1.0, damp, omega**2]) / shares[port] ** 2)
         if ELECTRICAL in domains:
             elements = (

@@ -155,7 +155,7 @@ def subcircuit(
         rom = rom.select(list(ports))
     network = None if dense else parallel_branches(rom)
     if heat and (network is not None or is_heat_model(rom)):
-        raise _unknown_losses(name, "a heat model, or the network of a measured response")
+        raise _unknown_losses_error(name, "a heat model, or the network of a measured response")
     if network is not None:
         return _network_subcircuit(network, rom, name, header, rating)
     if is_heat_model(rom):
@@ -175,7 +175,7 @@ def subcircuit(
         about, body = write_resonators(form, rom, terminals, base, weights, noise)
         losses = list(write_losses(form, terminals, base)) if heat else []
     elif heat:
-        raise _unknown_losses(name, "a model of coupled states, or ports that are signals")
+        raise _unknown_losses_error(name, "a model of coupled states, or ports that are signals")
     else:
         about, body = write_blocks(form, rom, terminals, base)
         if base == "ref":
@@ -199,7 +199,7 @@ def subcircuit(
     )
 
 
-def _unknown_losses(name: str, got: str) -> UsageError:
+def _unknown_losses_error(name: str, got: str) -> UsageError:
     """Return the error about a model whose losses are unknown, so that it has no heat pin."""
     return UsageError(
         "the losses of this model are unknown, so this model cannot have a heat pin",

@@ -23,7 +23,7 @@ from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.spelling import format_comment, format_number
-from kc2spice.netlist.transforms import prepare_noise
+from kc2spice.netlist.transforms import add_noise_results
 from kc2spice.scene.analysis_cards import make_analysis_cards
 from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
@@ -103,7 +103,7 @@ def make_deck(build: Build) -> Deck:
         stop=scene.stop if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
         initial_voltages=_initial_values(build, loose),
-        controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
+        may_have_loop=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         free_nets=frozenset(_list_free_nets(scene)),
         sweep_scale=sweep_scale,
@@ -113,7 +113,7 @@ def make_deck(build: Build) -> Deck:
         return deck
     meters = {item.filename: part.type.noise for part, item in libraries if not part.netlist}
     noisy = {name: () if isinstance(row, str) else row for name, row in meters.items()}
-    return prepare_noise(deck, NOISE_WAVE, scene.parts, noisy)
+    return add_noise_results(deck, NOISE_WAVE, scene.parts, noisy)
 
 
 def _list_free_nets(scene: Scene) -> Iterator[str]:

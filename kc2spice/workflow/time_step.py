@@ -348,7 +348,7 @@ def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[
     """Return whether a part without equations is joined to this network."""
     parts, scene = set(map(get_law_name, network.names)), build.scene
     for name, pin in scene.nets:
-        if name in parts and not set(missing).isdisjoint(dict(scene.joined(name, pin))):
+        if name in parts and not set(missing).isdisjoint(dict(scene.joined_pins(name, pin))):
             return True
     return False
 

@@ -250,7 +250,7 @@ def test_decks_for_xyce_contain_its_deviations():
         assert f"reltol={written}\n" in xyce(f".options reltol={given}\n.tran 1u 1m")[0]
         assert f"reltol={given}\n" in xyce(f".options reltol={given}\n.op")[0]
     for controlled, ceiling in ((True, "1e-06"), (False, "0.0002")):
-        assert f" 0 {ceiling}\n" in xyce(".tran 1u 1m 0 0.0002", controlled=controlled)[0]
+        assert f" 0 {ceiling}\n" in xyce(".tran 1u 1m 0 0.0002", may_have_loop=controlled)[0]
     *_, points, start, stop = xyce(".ac dec 7 10 900")[0].splitlines()[1].split()
     last = float(start) * 10 ** (math.floor(int(points) * math.log10(float(stop) / 10)) / 7)
     assert 900 <= last < 900 * 10 ** (1 / 7)

@@ -43,7 +43,7 @@ def test_verify_doubles_the_branches_of_a_film(tmp_path, branches, code):
     assert (film["value"] > 0.05) is (code == 4)
 
 
-SMALL_SIGNALS = FILM[FILM.index("[analysis]") :]
+SMALL_SIGNAL_ANALYSES = FILM[FILM.index("[analysis]") :]
 IN_TIME = """[analysis]
 type = "transient"
 stop = "2 us"
@@ -60,7 +60,7 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     """The integrator takes minutes for this film; as for parts without a law it is left out."""
     monkeypatch.setattr(SceneLaws, "missing", ("g",))
     monkeypatch.setattr(verify, "find_replayed_nets", lambda laws: None)
-    text = FILM.replace(SMALL_SIGNALS, IN_TIME)
+    text = FILM.replace(SMALL_SIGNAL_ANALYSES, IN_TIME)
     sine = 'sine = { amplitude = "1 mN", frequency = "2 MHz" }'
     (tmp_path / "film.toml").write_text(text.replace('ac = "1 uN"', sine))
     scene = load_scene(tmp_path / "film.toml", [f"g.film.branches={branches}"])

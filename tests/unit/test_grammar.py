@@ -45,7 +45,7 @@ def test_connections_apply_in_both_directions_and_through_other_pins():
         "c": {"part": "resistor", "resistance": 1.0, "pins": {"a": "b.a"}},
     }
     scene = load_scene(tables | {"analysis": {"type": "op"}})
-    assert set(scene.joined("b", "a")) == {("a", "a"), ("c", "a")}
+    assert set(scene.joined_pins("b", "a")) == {("a", "a"), ("c", "a")}
 
 
 def test_a_pin_that_is_named_leaves_its_default():

@@ -27,10 +27,10 @@ LOW_PASS = {
 }
 
 
-SMALL_SIGNALS = {"type": "ac", "start": "10 Hz", "stop": "100 kHz", "points": 20}
+SMALL_SIGNAL_ANALYSES = {"type": "ac", "start": "10 Hz", "stop": "100 kHz", "points": 20}
 
 
-@pytest.mark.parametrize("analysis", [LOW_PASS["analysis"], SMALL_SIGNALS])
+@pytest.mark.parametrize("analysis", [LOW_PASS["analysis"], SMALL_SIGNAL_ANALYSES])
 def test_a_run_calls_the_law_of_each_part_once(analysis, monkeypatch):
     """For the time step, its check after the simulation, the operating point and resonances."""
     scene, asked = load_scene({**LOW_PASS, "analysis": analysis}), Counter()

@@ -377,7 +377,7 @@ class TermEntry(Section):
 class Sidecar(Section):
     """Content of ``NAME.toml``; the defaults apply to a model without a file."""
 
-    listed: ClassVar[str] = "docs/reference/matrices.md"
+    help_command: ClassVar[str] = "docs/reference/matrices.md"
 
     ports: tuple[PortEntry, ...] = ()
     fixed: tuple[Fixed, ...] = ()

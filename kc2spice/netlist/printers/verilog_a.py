@@ -275,7 +275,7 @@ def _expand_circuit(names: VerilogNames) -> None:
         if part.kind == "x":
             _expand_instance(part, names)
         else:
-            _contribute(part, names)
+            _add_contribution(part, names)
 
 
 def _convert_comment(line: str) -> str:
@@ -297,7 +297,7 @@ def _expand_instance(part: Element, outer: VerilogNames) -> None:
     _expand_circuit(VerilogNames(outer.module, called, pins, params, prefix))
 
 
-def _contribute(part: Element, names: VerilogNames) -> None:
+def _add_contribution(part: Element, names: VerilogNames) -> None:
     """Add the contribution statement of one element to the module.
 
     The statement contributes a current between the nodes of the element, or a voltage across a

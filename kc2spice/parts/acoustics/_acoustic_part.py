@@ -211,7 +211,7 @@ class AcousticPart(PartType[FluidKeysT]):
         nodes = {pin: network.exits.get(pin, pin) for pin in (*others, AMBIENT)}
         pins = [(pin, at_node[node][0]) for pin, node in ({first: network.entry} | nodes).items()]
         inside = tuple(tuple(ends) for ends in at_node.values() if len(ends) > 1)
-        pressure = laws.wave_difference(at_node[network.entry][0], at_node[AMBIENT][0])
+        pressure = laws.subtract_waves(at_node[network.entry][0], at_node[AMBIENT][0])
         results = {
             f"{n}.{ACOUSTIC.across.symbol}": pressure,
             f"{n}.{ACOUSTIC.through_variable.symbol}": laws.WaveCombination(

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from kc2spice.core.laws import low_pass
+from kc2spice.core.laws import low_pass_response
 from kc2spice.parts.acoustics._sound_filter import delay_wave, pass_delay
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
@@ -66,7 +66,7 @@ def propagate_response(
     ``sound`` is the response (frequencies,) of the netlist, and includes its low pass.
     """
     s = 2j * np.pi * frequency
-    travel = np.exp(-s * travel_time(keys, distance)) / low_pass(s, keys.sound_corner)
+    travel = np.exp(-s * travel_time(keys, distance)) / low_pass_response(s, keys.sound_corner)
     return sound * travel * directivity(keys, angle, frequency)
 
 

@@ -290,11 +290,9 @@ class DuctPart(AcousticPart[DuctKeys]):
         law = make_duct_law(n, network, pins)
         names = {"a": ACOUSTIC.through_variable.symbol}
         names[FAR_END] = f"{names['a']}_{FAR_END}"
-        results = {
-            f"{n}.{ACOUSTIC.across.symbol}": laws.wave_difference(f"{n}.a", f"{n}.{AMBIENT}")
-        }
+        results = {f"{n}.{ACOUSTIC.across.symbol}": laws.subtract_waves(f"{n}.a", f"{n}.{AMBIENT}")}
         for end, sign in zip(self.ends(part), (1.0, -1.0), strict=False):
-            results[f"{n}.{names[end]}"] = laws.scaled_wave(f"{n}.{end}.through", sign)
+            results[f"{n}.{names[end]}"] = laws.scale_wave(f"{n}.{end}.through", sign)
         joins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         return laws.Equations((law,), joins, results)
 

@@ -216,7 +216,7 @@ stop = "20 kHz"
             return {}
         x = waves.scale.real
         if scale == "frequency":
-            return {name: waves[name] / laws.low_pass(2j * np.pi * x, corner)}
+            return {name: waves[name] / laws.low_pass_response(2j * np.pi * x, corner)}
         if scale != "time":
             return {}
         return {name: delay_wave(x, waves[name], [(1.0, -pass_delay(corner))])}

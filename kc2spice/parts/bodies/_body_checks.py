@@ -269,7 +269,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 wave = f"{name}.voltage" if port.paired else name
                 result[port.name] = waves.data.get(wave, still)
                 continue
-            joined = build.scene.joined(part.name, port.terminals[0])
+            joined = build.scene.joined_pins(part.name, port.terminals[0])
             if acting.keys() >= set(joined) and build.net(part, port.terminals[0]) != "0":
                 result[port.name] = sum(map(acting.__getitem__, joined), start=still)
         return result

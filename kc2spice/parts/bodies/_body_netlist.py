@@ -156,11 +156,11 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
             if port.paired:
-                results[f"{name}.voltage"] = laws.wave_difference(mine, f"{n}.{port.terminals[1]}")
+                results[f"{name}.voltage"] = laws.subtract_waves(mine, f"{n}.{port.terminals[1]}")
             else:
-                results[name] = laws.scaled_wave(mine)
+                results[name] = laws.scale_wave(mine)
             if port.charged:
-                results[flow_name(n, ports, port)] = laws.scaled_wave(f"{mine}.through")
+                results[flow_name(n, ports, port)] = laws.scale_wave(f"{mine}.through")
         result = laws.Equations((law,), tuple(joins), results)
         if not heated:
             return result

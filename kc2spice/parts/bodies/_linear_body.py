@@ -124,7 +124,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
         scene, model = build.scene, build.model(part, LinearModel)
         pins = set(names_of(scene.pins(part.name))) - self.lightly_loaded_pins(part, scene)
-        joined = {pin: scene.joined(part.name, pin) for pin in pins}
+        joined = {pin: scene.joined_pins(part.name, pin) for pin in pins}
         port = paired_ports(model.ports)[0]
         plus, minus = port.terminals
         ((name, _),) = joined.pop(plus)

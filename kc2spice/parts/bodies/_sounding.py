@@ -68,7 +68,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             if port.domain is not ACOUSTIC:
                 continue
             facing = list[FacingFluid]()
-            for name, pin in scene.joined(part.name, port.terminals[0]):
+            for name, pin in scene.joined_pins(part.name, port.terminals[0]):
                 kind, keys = scene.parts[name].type, scene.parts[name].keys
                 if isinstance(kind, AcousticPart) and pin in kind.ends(scene.parts[name]):
                     assert isinstance(keys, FluidKeys)

@@ -477,7 +477,7 @@ dc = "1 W"
             flows = {}
             for port in self.used_ports(part, build.scene):
                 flow = waves.data.get(f"{part.name}.heat.{port.name}")
-                if flow is None and build.scene.joined(part.name, port.terminals[0]):
+                if flow is None and build.scene.joined_pins(part.name, port.terminals[0]):
                     got = f"a heat flow into {port.name} that its part does not record"
                     expected = "one source, thermal_resistor or other part at each pin"
                     problem = "fields need every heat flow into the body"

@@ -277,10 +277,10 @@ class Pid(PartType[Control]):
         height = sphere.height_offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
-        error = laws.scaled_wave(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
+        error = laws.scale_wave(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         results = {f"{n}.error": error}
         if external:
-            results["coil.wanted"] = laws.scaled_wave(f"{n}.command", 1.0 / SENSE_RESISTANCE)
+            results["coil.wanted"] = laws.scale_wave(f"{n}.command", 1.0 / SENSE_RESISTANCE)
         return laws.Equations((controller,), controller.pin_pairs, results)
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:

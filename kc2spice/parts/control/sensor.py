@@ -152,7 +152,7 @@ dc = "1 um"
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
-        result = laws.scaled_wave(f"{n}.out", DISPLACEMENT.factor)
+        result = laws.scale_wave(f"{n}.out", DISPLACEMENT.factor)
         return laws.Equations((declared_law,), pins, {f"{n}.y": result})
 
     def notes(self, part: Part[SensorKeys], scene: Scene) -> Iterator[str]:

@@ -263,8 +263,8 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
         body = laws.SecondOrderBody(n, model, (laws.LawPort(plus, "electrical", minus),))
         results = {
-            f"{n}.voltage": laws.wave_difference(f"{n}.{plus}", f"{n}.{minus}"),
-            f"{n}.current": laws.scaled_wave(f"{n}.{plus}.through"),
+            f"{n}.voltage": laws.subtract_waves(f"{n}.{plus}", f"{n}.{minus}"),
+            f"{n}.current": laws.scale_wave(f"{n}.{plus}.through"),
         }
         result = laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
         return add_loss_heat(result, body) if is_heated(part, build.scene) else result

@@ -261,7 +261,7 @@ stop = "1 kHz"
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
         if f"{n}.{COIL}" in results:
-            results[f"{n}.v"] = laws.wave_difference(f"{n}.plus", f"{n}.minus")
+            results[f"{n}.v"] = laws.subtract_waves(f"{n}.plus", f"{n}.minus")
             results[f"{n}.i"] = results[f"{n}.{COIL}"]
         return replace(equations, results=results)
 

@@ -239,7 +239,7 @@ def build_driver_equations(
     this resistor to the first terminal.
     """
     values, pins = declared.values(Section()), ("command", *terminals)
-    results = {f"{name}.{pin}": laws.scaled_wave(f"{name}.{pin}") for pin in pins}
+    results = {f"{name}.{pin}": laws.scale_wave(f"{name}.{pin}") for pin in pins}
     conductance = 1.0 / values[SERIES_PARAMETER]
     ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))
     results[f"{name}.i"] = laws.WaveCombination(ends)

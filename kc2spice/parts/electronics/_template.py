@@ -316,7 +316,7 @@ class CoilDriver(Driver[KeysT]):
 
 def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
     """Return the part of this kind at a pin."""
-    joined = (scene.parts[name] for name, _ in scene.joined(part.name, pin))
+    joined = (scene.parts[name] for name, _ in scene.joined_pins(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)
 
 

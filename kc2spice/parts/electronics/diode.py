@@ -77,7 +77,7 @@ class Diode(TemplatePart[DiodeKeys]):
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
         flow = junction.flows[0].pin
-        results = {f"{part.name}.i": laws.scaled_wave(f"{part.name}.{flow}.through")}
+        results = {f"{part.name}.i": laws.scale_wave(f"{part.name}.{flow}.through")}
         return laws.Equations((junction,), ends, results)
 
     def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:

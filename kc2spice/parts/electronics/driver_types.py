@@ -246,7 +246,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         # the law.
         results = {
             **result.results,
-            f"{part.name}.i": laws.scaled_wave(f"{part.name}.drive.through", -1.0),
+            f"{part.name}.i": laws.scale_wave(f"{part.name}.drive.through", -1.0),
         }
         return replace(
             result,

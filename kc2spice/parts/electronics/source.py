@@ -317,10 +317,10 @@ class Source(PartType[SourceKeys]):
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         domain = SOURCE_TYPES[keys.kind].domain
         across, through = (f"{n}.{item.symbol}" for item, _ in domain.quantities)
-        results = {across: laws.scaled_wave(f"{n}.out")}
+        results = {across: laws.scale_wave(f"{n}.out")}
         if not signal:
-            results = {across: laws.wave_difference(f"{n}.out", f"{n}.ret")}
-            results[through] = laws.scaled_wave(f"{n}.out.through", -1.0)
+            results = {across: laws.subtract_waves(f"{n}.out", f"{n}.ret")}
+            results[through] = laws.scale_wave(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
     def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
@@ -385,7 +385,7 @@ def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
 def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:
     """Return whether the source drives only signal inputs, which draw no current."""
     scene = build.scene
-    flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}
+    flows = {scene.terminals[end].flow for end in scene.joined_pins(part.name, "out")}
     return flows == {"-"} and build.net(part, "ret") == "0"
 
 

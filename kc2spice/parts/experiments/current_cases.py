@@ -142,14 +142,14 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
-        results = {f"{pulled}.y": laws.scaled_wave(f"{n}.out")}
+        results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
         for k, force in enumerate(_force_names(part, build)):
             case = f"{fed.name} {k}"  # unique, because names of parts contain no blanks
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
             height.append(f"{case}.y")
-            results[force] = laws.scaled_wave(f"{case}.y.through", -1.0)
+            results[force] = laws.scale_wave(f"{case}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
         return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 

@@ -217,9 +217,9 @@ class PortLoads(PartType[PortLoadsKeys]):
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
             for ring in rings:
-                results[f"{load}>{ring}"] = laws.scaled_wave(f"{name}.{ring}")
+                results[f"{load}>{ring}"] = laws.scale_wave(f"{name}.{ring}")
             charge = laws.WaveCombination(((1.0, f"{name}.anode.through"),), charge=True)
-            results[f"{load}>anode"] = laws.scaled_wave(f"{name}.anode") if is_open else charge
+            results[f"{load}>anode"] = laws.scale_wave(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 
     def notes(self, part: Part[PortLoadsKeys], scene: Scene) -> Iterator[str]:

@@ -138,7 +138,7 @@ class Push(TouchablePart[PushKeys]):
         """Return the equations of the part."""
         n = part.name
         source = laws.IdealSource(n, "displacement", constant_waveform(0.0))
-        results = {f"{n}.depth": laws.scaled_wave(f"{n}.out", -1.0)}
+        results = {f"{n}.depth": laws.scale_wave(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def notes(self, part: Part[PushKeys], scene: Scene) -> Iterator[str]:

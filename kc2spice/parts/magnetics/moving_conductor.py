@@ -614,7 +614,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
     """
     keys = part.keys
     y = keys.y_min
-    for name, _ in scene.joined(part.name, "a"):
+    for name, _ in scene.joined_pins(part.name, "a"):
         y = getattr(scene.parts[name].keys, "position", y)
     y = min(max(y, keys.y_min), keys.y_max)
     sphere = getattr(keys, "shape", "disc") == "sphere"

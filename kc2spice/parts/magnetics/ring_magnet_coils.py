@@ -418,13 +418,13 @@ class RingMagnetCoils(TouchablePart[Coils]):
         law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COIL_NAMES, ends, strict=True):
-            results[f"{prefix}.{coil}.current"] = laws.scaled_wave(f"{n}.{wave}", sign)
+            results[f"{prefix}.{coil}.current"] = laws.scale_wave(f"{n}.{wave}", sign)
         if apart:
-            results[f"{prefix}.voltage"] = laws.wave_difference(f"{n}.up", f"{n}.lp")
+            results[f"{prefix}.voltage"] = laws.subtract_waves(f"{n}.up", f"{n}.lp")
         if heated:
             pins = f"{n}.{HEAT}", f"{n}.{AMBIENT}"
-            results[f"{prefix}.{TEMPERATURE}"] = laws.wave_difference(*pins)
-            results[f"{prefix}.{HEAT}"] = laws.scaled_wave(f"{n}.{HEAT}.through")
+            results[f"{prefix}.{TEMPERATURE}"] = laws.subtract_waves(*pins)
+            results[f"{prefix}.{HEAT}"] = laws.scale_wave(f"{n}.{HEAT}.through")
         return laws.Equations((law,), law.pin_pairs, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:

@@ -168,7 +168,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity
         if _has_initial_state(part):
-            for name, pin in scene.joined(part.name, "a"):
+            for name, pin in scene.joined_pins(part.name, "a"):
                 other = scene.parts[name]
                 moved = other.type.name == part.type.name or other.reduced
                 if moved or scene.records[name].rest.ideal:

@@ -236,10 +236,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
     def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
         """Return zero displacement at t = 0 for a sphere without support."""
-        joined = build.scene.joined(part.name, "v")
+        joined = build.scene.joined_pins(part.name, "v")
         if (
             joined
-            or build.scene.joined(part.name, "bottom")
+            or build.scene.joined_pins(part.name, "bottom")
             or part.name in build.scene.initial_states
         ):
             return {}
@@ -297,7 +297,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         acting = compute_pin_forces(build, waves)
-        for name, pin in scene.joined(part.name, "v"):
+        for name, pin in scene.joined_pins(part.name, "v"):
             if (name, pin) not in acting:
                 return
             forces[name] = acting[name, pin]
@@ -336,7 +336,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def initial_motion(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
         """Return the position [m] and velocity [m/s] at t = 0."""
         n, scene, states = part.name, build.scene, build.scene.initial_states
-        if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
+        if not states and (scene.joined_pins(n, "v") or scene.joined_pins(n, "bottom")):
             return None
         begin = states.get(n, REST_STATE)
         return begin.height, begin.velocity
@@ -344,7 +344,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
         """Return the equations of the part."""
         n, result = part.name, super().law(part, build)
-        height = laws.scaled_wave(f"{n}.bottom", constant=part.keys.radius)
+        height = laws.scale_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"
         pins = (("v", bottom), ("bottom", bottom), ("y", bottom))
         results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
@@ -414,7 +414,7 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
 
 def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
     """Return the sphere whose height a pin reads."""
-    for name, other in scene.joined(part.name, pin):
+    for name, other in scene.joined_pins(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
             return scene.parts[name].with_schema(SphereKeys)
     return None

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import evaluate_combinations, scaled_wave
+from kc2spice.core.laws import evaluate_combinations, scale_wave
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, get_law_name
 from kc2spice.equations.replay import select_networks_to_solve
@@ -99,7 +99,7 @@ def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str
     law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in get_scene_laws(build).links}
     output = network.results.get(name)
     if output is None and name in law_pins:
-        output = scaled_wave(law_pins[name])
+        output = scale_wave(law_pins[name])
     if output is None or output.rate or get_law_name(output.terms[0][1]) not in network.names:
         return {}
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}

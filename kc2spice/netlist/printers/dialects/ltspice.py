@@ -28,19 +28,19 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-    bare = True  # True while parameters are written without braces
+    omits_braces = True  # True while parameters are written without braces
 
     def name(self, text: str) -> str:
         """Return a name; braces around a parameter separate its sign from an operator."""
         word = super().name(text)
-        plain = self.bare or word != text or text.lower() in ("time", "pi", "temp")
+        plain = self.omits_braces or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
 
     def law(self, part: Element) -> str:
         """Return the expression of a behavioural source."""
-        self.bare = part.kind != "b"
+        self.omits_braces = part.kind != "b"
         text = self.write(part.law)
-        quantity, self.bare = part.quantity, True
+        quantity, self.omits_braces = part.quantity, True
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:

@@ -94,7 +94,7 @@ class Xyce(Dialect):
 
     def _limit_steps(self, card: Directive) -> str:
         """Return the card of a transient; its steps are limited if a controller closes a loop."""
-        if self.deck and not self.deck.controlled:
+        if self.deck and not self.deck.may_have_loop:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
         numbers = [w for w in card.words if w not in words]
