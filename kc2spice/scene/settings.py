@@ -328,10 +328,7 @@ class ErrorLimits(Section):
 
 # unit of the scale of each type of analysis
 ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
-SMALL_SIGNAL_ANALYSES = (
-    "ac",
-    "noise",
-)  # types of analyses that are linear about an operating point
+SMALL_SIGNAL_ANALYSES = ("ac", "noise")  # linear about an operating point
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
