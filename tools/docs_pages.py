@@ -144,7 +144,7 @@ def scenes_page() -> str:
     from kc2spice.scene.keys import list_schema_keys
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.scene_file import list_gallery
-    from kc2spice.scene.settings import Frame
+    from kc2spice.scene.settings import SceneKeys
 
     loaded = {name: load_scene(name) for name in list_gallery()}
     rows = [
@@ -162,7 +162,7 @@ def scenes_page() -> str:
         _table(("scene", "what", "analysis", "parts"), rows),
         "## Keys outside of parts\n",
         "The page [Parts](parts.md) lists the keys of each part type.\n",
-        _keys(list(list_schema_keys(Frame))),
+        _keys(list(list_schema_keys(SceneKeys))),
     ])  # fmt: skip
 
 
