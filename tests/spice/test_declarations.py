@@ -104,7 +104,7 @@ def example(name):
     if given := load_part_types()[name].example:
         scene = load_scene({"name": "example", **parse_toml(given)})
     else:
-        scene = next(each for each in map(load_scene, list_gallery()) if each.of(name))
+        scene = next(each for each in map(load_scene, list_gallery()) if each.list_parts(name))
     return scene, scene.list_parts(name)[0]
 
 
