@@ -9,23 +9,23 @@ from importlib import import_module
 NAMES_BY_MODULE = {
     "kc2spice": "api pyspice",
     "kc2spice.bodies.device": (
-        "Block BondedBlocks ForceShape Setup make_device outer_faces spread_force"
+        "Block BondedBlocks PortLoad BoundaryConditions make_device list_outer_faces spread_force"
     ),
     "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
     "kc2spice.bodies.face_motion": "FaceMotion sample_face_motion",
     "kc2spice.bodies.fields": (
         "FieldProbe compute_lowest_modes evaluate_at_nodes find_extremes "
-        "largest_principal_stress recover_motion write_vtu"
+        "compute_largest_principal_stress recover_motion write_vtu"
     ),
     "kc2spice.bodies.heat_field": "recover_temperatures write_temperatures",
-    "kc2spice.bodies.heat_model": "HeatSetup make_heat_model",
+    "kc2spice.bodies.heat_model": "HeatBoundaryConditions make_heat_model",
     "kc2spice.bodies.impedance": "analyse_impedance",
     "kc2spice.bodies.pressure": (
         "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
         "compute_local_compliance compute_surface_compliance fit_indentation_law model_sphere "
-        "solve_contact_forces sphere_compliance stresses_under_force"
+        "solve_contact_forces compute_sphere_compliance compute_stresses_under_force"
     ),
-    "kc2spice.bodies.readers": "mesh_extent read_model sidecar",
+    "kc2spice.bodies.readers": "measure_mesh_extent read_model sidecar",
     "kc2spice.bodies.readers.measured": (
         "MeasuredAdmittance is_measured parse_shunt_resistance read_measured"
     ),

@@ -1,1 +1,1 @@
-"""Bodies: parametric devices as LinearModels with named, typed ports."""
+"""Bodies: devices as linear models with named ports, from sizes, meshes or files."""

@@ -1,20 +1,22 @@
 """Finite-element models of solids with supports, electrodes and ports.
 
-Constraints are prolongations. ``u = P z`` follows from the free displacements and the six motions
-of each rigid face. ``phi = Q p + R V`` follows from the free potentials (one per floating
-electrode) and the voltages of driven electrodes. With shapes S of the forces,
+Constraints are expressed by independent unknowns. The displacements are ``u = P z``, where z are
+the free displacements and the six motions of each rigid face. The potentials are ``phi = Q p + R
+V``, where p are the free potentials (one per floating electrode) and V the voltages of driven
+electrodes. With unit forces f and their distributions S over the nodes, the equations are
 
     P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
         charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
 
-of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
+from which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
 :class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. Blocks are
-boxes along the axes, in a body of revolution in the plane (radius, height). All blocks are on one
-grid of quadratic quadrilaterals or hexahedra. The lines of the grid contain every edge of a block,
-an electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors
-and electrodes are equipotentials, and other insulators have no field (:mod:`kc2spice.fem.solid`).
+boxes along the axes; in a body of revolution, they are rectangles in the plane (radius, height).
+All blocks are on one grid of quadratic quadrilaterals or hexahedra. Every edge of a block, an
+electrode, a support or a port is a line of the grid. Only piezoelectric blocks have a potential.
+Conductors and electrodes are equipotentials, and other insulators have no field
+(:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations
@@ -48,19 +50,22 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
 
-# Shift [rad/s] for an unsupported body, in units of its slowest wave speed divided by its size.
+# Shift [rad/s] for an unsupported body, as a multiple of its slowest wave speed divided by its
+# size.
 FREE_SHIFT_RATIO = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
-# Relative times of the steps, measured with piezoelectric blocks of 10 000 and 29 000 unknowns.
+# Relative computing times of the steps, measured for piezoelectric blocks of 10 000 and 29 000
+# unknowns.
 SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
 FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mesh error", 6.6)
 
 
 @dataclass(frozen=True, eq=False)
-class ForceShape:
-    """Port of forces; ``weights`` (d nodes,) are the nodal forces of a unit force or pressure.
+class PortLoad:
+    """Port of a force or a pressure, and the distribution of its unit load over the nodes.
 
-    ``facets`` are the facets on which a pressure acts.
+    ``weights`` (d nodes,) are the nodal forces of a unit load. ``facets`` are the facets on which a
+    pressure acts.
     """
 
     port: Port
@@ -68,16 +73,16 @@ class ForceShape:
     facets: np.ndarray | None = None
 
 
-def pressure_shape(port: Port, solid: Solid, facets: np.ndarray) -> ForceShape:
-    """Return the port of the pressure on a boundary and the volume that the boundary displaces.
+def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad:
+    """Return the port of a pressure on a boundary, whose output is the displaced volume.
 
-    The pressure p acts against the outward normal n: its forces are ``-p int N n dS``, and the
-    output of the port is ``-int u n dS``.
+    The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS``, and
+    the output of the port is ``-int u n dS``.
     """
-    return ForceShape(port, -compute_displaced_volume(solid, facets), facets)
+    return PortLoad(port, -compute_displaced_volume(solid, facets), facets)
 
 
-def area_name(port: str) -> str:
+def get_area_name(port: str) -> str:
     """Return the name of the area [m^2] of an acoustic port among the facts of a model."""
     return f"area_{port}_m2"
 
@@ -86,8 +91,8 @@ def area_name(port: str) -> str:
 class RigidFace:
     """Face that moves as a rigid body, with ports for its motions.
 
-    ``ports`` contains each port and its motion (ux, uy, uz, rx, ry, rz). Rotations are about
-    ``centre``, the mean of the nodes.
+    ``ports`` contains pairs of a port and its motion (ux, uy, uz, rx, ry, rz). The rotations are
+    about the mean position of the nodes.
     """
 
     nodes: np.ndarray
@@ -95,18 +100,20 @@ class RigidFace:
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class BoundaryConditions:
     """Boundary conditions of a solid: supports, electrodes, ports and added masses.
 
     Attributes
     ----------
     fixed : mask (d nodes,) of the displacements that are zero.
-    electrodes : pin to its nodes; ``reference`` is the pin to which all voltages are relative.
-    floating : nodes of each electrode without pin: one potential, no charge.
-    shapes, faces : ports of forces and moments.
-    base : ports of base acceleration and their direction (3,).
-    graded : nodes and their fractions of the voltage of the first pin, for planes of electrodes
-        within elements.
+    electrodes : nodes of each electrode, keyed by its pin; all voltages are relative to the pin
+        ``reference``.
+    floating : nodes of each electrode without a pin, which has one potential and no charge.
+    shapes : ports of forces and pressures.
+    faces : rigid faces with ports of forces and moments.
+    base : ports of base acceleration, and the direction (3,) of each port.
+    graded : nodes whose potential is a fraction of the voltage of the first pin, and the fractions;
+        for planes of electrodes within elements.
     lumped : additional masses [kg] (nodes,).
     springs : additional stiffness [N/m] (d nodes, d nodes).
     sectors : number of equal solids that move identically; the model represents all of them.
@@ -116,7 +123,7 @@ class Setup:
     electrodes: Mapping[str, np.ndarray] = field(default_factory=dict)
     reference: str = ""
     floating: Sequence[np.ndarray] = ()
-    shapes: Sequence[ForceShape] = ()
+    shapes: Sequence[PortLoad] = ()
     faces: Sequence[RigidFace] = ()
     base: Sequence[tuple[Port, np.ndarray]] = ()
     graded: tuple[np.ndarray, np.ndarray] | None = None
@@ -127,17 +134,17 @@ class Setup:
 
     @property
     def driven_electrodes(self) -> dict[str, np.ndarray]:
-        """Nodes of each electrode with an independent voltage, by its pin."""
+        """Nodes of each electrode with an independent voltage, keyed by its pin."""
         return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
 
 
-def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
+def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
     """Make the model of a solid with supports, ports and damping, and its characteristic values.
 
     Raises
     ------
-    UsageError : electrodes or rigid faces touch each other, damping per material lacks a quality,
-        or the mesh needs more memory than is free.
+    UsageError : electrodes or rigid faces touch each other, a material lacks the Q factor that
+        damping per material needs, or the mesh needs more memory than is free.
     """
     timer = StepTimer()
     bare, volts = make_undamped_model(solid, setup), _estimate_depoling_voltage(solid, setup)
@@ -146,7 +153,9 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
-    facts |= {area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()}
+    facts |= {
+        get_area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()
+    }
     pencil = bare.model.pencil
     definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
     require_memory_for_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
@@ -157,7 +166,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
-def make_undamped_model(solid: Solid, setup: Setup) -> FiniteElementModel:
+def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
     """Make the model of a solid with its constraints and ports, without damping.
 
     Characteristic values are not computed.
@@ -174,7 +183,9 @@ def make_undamped_model(solid: Solid, setup: Setup) -> FiniteElementModel:
     mass, K_uu, K_up, K_pp = n * mass, n * K_uu, n * full.K_up, n * full.K_pp
     columns: list[tuple[Port, np.ndarray]] = [(s.port, P.T @ s.weights) for s in setup.shapes]
     columns += motions
-    columns += [(port, -(P.T @ (mass @ rigid_translation(solid, a)))) for port, a in setup.base]
+    columns += [
+        (port, -(P.T @ (mass @ compute_rigid_translation(solid, a)))) for port, a in setup.base
+    ]
     model = with_potentials(
         M=sparse.csc_array(P.T @ mass @ P),
         K_uu=sparse.csc_array(P.T @ K_uu @ P),
@@ -199,11 +210,12 @@ def make_undamped_model(solid: Solid, setup: Setup) -> FiniteElementModel:
     )
 
 
-def _estimate_depoling_voltage(solid: Solid, setup: Setup) -> float | None:
+def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float | None:
     """Estimate the voltage [V] that depolarises a ceramic; None if unknown.
 
-    At this voltage the mean field along the shortest line from an electrode to the reference is a
-    depoling field. A lower voltage may depolarise the ceramic at the edge of an electrode.
+    At this voltage, the mean field along the shortest line from an electrode to the reference
+    equals the depoling field of the material. At the edge of an electrode, a lower voltage may
+    depolarise the ceramic.
     """
     limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
     if not setup.driven_electrodes or not limits or None in limits:
@@ -221,7 +233,7 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
 
     Raises
     ------
-    UsageError : the damping is stated at a resonance that the model lacks.
+    UsageError : the damping ratio is given at the first resonance, but the model has no resonance.
     """
     first = _find_damping_frequency(model, damping)
     rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
@@ -229,7 +241,7 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
 
 
 def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | None:
-    """Determine the frequency [Hz] of a damping ratio or a Q factor."""
+    """Determine the frequency [Hz] at which a damping ratio or a Q factor is given."""
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
@@ -243,9 +255,9 @@ def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | Non
 
 
 def _add_damping(
-    model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup
+    model: LinearModel, solid: Solid, P: sparse.csc_array, setup: BoundaryConditions
 ) -> LinearModel:
-    """Add Rayleigh damping, or damp each material by its Q factor."""
+    """Add Rayleigh damping, or separate damping of each material by its Q factor."""
     damping = setup.damping
     if not damping.per_material:
         return add_rayleigh_damping(model, damping)
@@ -264,8 +276,9 @@ def _add_damping(
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # One term damps the whole body with the smallest loss, and each material adds a further term. E
-    # and K then have the same rounding errors in the first mode.
+    # One term damps the whole body with the smallest loss factor, and further terms add the
+    # remaining loss of each material. In this way, E and K have the same rounding errors in the
+    # first mode.
     least = min(loss)
     E = damping.alpha * model.M + damping_term(least)
     for number, beta in enumerate(loss):
@@ -275,23 +288,23 @@ def _add_damping(
 
 
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Distribute a unit vector over nodes by their shares: weights (d nodes,)."""
+    """Return weights (d nodes,) that distribute a unit force along ``axis`` over nodes."""
     return np.outer(shares, axis[solid.axes]).ravel()
 
 
-def rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
+def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
     """Return the displacements (d nodes,) of a rigid translation along ``axis`` (3,)."""
     return spread_force(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
 
-def rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
+def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """Return the displacements (d nodes, 6) of three translations and three rotations.
 
     The rotations are about ``centre``. A body of revolution has one column, the translation along
     its axis.
     """
     if solid.axisymmetric:
-        return rigid_translation(solid, UP)[:, None]
+        return compute_rigid_translation(solid, UP)[:, None]
     arm = solid.places.T - centre
     turns = np.cross(np.eye(3)[:, None], arm[None])  # array (axis, nodes, component)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
@@ -299,9 +312,9 @@ def rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
 
 
 def _constrain_displacements(
-    solid: Solid, setup: Setup
+    solid: Solid, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """Compute ``P`` of ``u = P z``, and the loads of the rigid faces' ports."""
+    """Compute the matrix ``P`` of ``u = P z``, and the loads of the ports of rigid faces."""
     d, free = solid.components, ~setup.fixed
     where = solid.places.T
     blocks = []
@@ -313,7 +326,7 @@ def _constrain_displacements(
             raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
         free[rows] = False
         motion = np.zeros((len(free), 6))
-        motion[rows] = rigid_body_modes(solid, where[face.nodes].mean(axis=0))[rows]
+        motion[rows] = compute_rigid_body_modes(solid, where[face.nodes].mean(axis=0))[rows]
         blocks.append(sparse.csc_array(motion))
     identity = sparse.eye_array(len(free), format="csc")[:, np.flatnonzero(free)]
     P = sparse.hstack([identity, *blocks], format="csc")
@@ -327,9 +340,9 @@ def _constrain_displacements(
 
 
 def _constrain_potentials(
-    K_pp: sparse.csc_array, setup: Setup
+    K_pp: sparse.csc_array, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """Compute ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
+    """Compute the matrices ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
     live = K_pp.diagonal() > 0
     times_driven = np.zeros(len(live), int)
     for nodes in (*setup.electrodes.values(), *setup.floating):
@@ -352,7 +365,7 @@ def _constrain_potentials(
         raise wrong("electrodes", problem, hint=hint)
 
     def indicate_nodes(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
-        """Return a matrix with ``values`` in the columns of the nodes."""
+        """Return one column that is ``values`` at the ``nodes`` and zero elsewhere."""
         column = np.zeros(len(live))
         column[nodes] = values
         return sparse.csc_array((column * live)[:, None])
@@ -369,7 +382,7 @@ def _constrain_potentials(
     return Q, R, ports
 
 
-def _choose_shift(solid: Solid, setup: Setup) -> float:
+def _choose_shift(solid: Solid, setup: BoundaryConditions) -> float:
     """Choose a shift [rad^2/s^2] that makes ``K + shift M`` regular.
 
     The shift is 0 for a supported body.
@@ -384,7 +397,7 @@ def _choose_shift(solid: Solid, setup: Setup) -> float:
     return float((FREE_SHIFT_RATIO * slowest / size) ** 2)
 
 
-def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
+def _find_pieces(solid: Solid, setup: BoundaryConditions) -> list[np.ndarray]:
     """Find the nodes of each piece of the body that moves independently.
 
     A piece is a rigid face, or a set of elements that are joined through common faces. Elements
@@ -402,14 +415,14 @@ def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Return whether the ``fixed`` displacements (d nodes,) prevent all rigid-body modes.
 
-    A supported piece supports other pieces at the nodes that it shares with them.
+    A piece that is supported also supports other pieces at common nodes.
     """
     constrained, waiting = fixed.copy(), list(pieces)
     while waiting:
         free = []
         for nodes in waiting:
             rows = (solid.components * nodes[:, None] + np.arange(solid.components)).ravel()
-            motions = rigid_body_modes(solid, solid.places[:, nodes].mean(axis=1))[rows]
+            motions = compute_rigid_body_modes(solid, solid.places[:, nodes].mean(axis=1))[rows]
             motions = motions / np.maximum(np.abs(motions).max(axis=0), 1e-300)
             if np.linalg.matrix_rank(motions[constrained[rows]], tol=1e-6) < motions.shape[1]:
                 free.append(nodes)
@@ -422,7 +435,8 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
 
 
 FRONT_FACE, BACK_FACE = "front_face", "back_face"  # ports of the pressure above and below a body
-# Lower and upper ends [m] along each axis; equal ends make a face, an edge or a point.
+# Lower and upper ends [m] of a box along each axis. If ends are equal, the box is a face, an edge
+# or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
 
 
@@ -440,9 +454,9 @@ class RadiatingFace:
 
 @dataclass(frozen=True)
 class Block:
-    """Box of poled material.
+    """Box of one poled material.
 
-    Block of one material; blocks whose materials have the same name belong together.
+    Blocks whose materials have the same name are treated as one material in reports.
     """
 
     box: Box
@@ -450,7 +464,7 @@ class Block:
 
     @property
     def thickness(self) -> float:
-        """Extent along the last axis [m]."""
+        """Size of the block along the last axis [m]."""
         low, high = self.box[-1]
         return high - low
 
@@ -459,20 +473,23 @@ class Block:
 class BondedBlocks:
     """Blocks of material that are bonded where they touch, with their supports.
 
-    In an overlap, the later block replaces the earlier one.
+    Where two blocks overlap, the later block replaces the earlier block.
 
     Attributes
     ----------
-    electrodes : faces of each pin; voltages are counted from the ``cathode``.
-    floating : faces of each equipotential without charge.
-    ports : mean upward displacement of a face with an even force, or displacement of a point.
-    fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are fixed.
-    masses : [kg] spread over faces.
-    faces : ports of the pressure on a part of the surface.
-    moved : whether the port ``base`` is the upward acceleration of the support.
-    grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
-    like : body of equal blocks with other sizes; its mesh is reused with displaced nodes.
-    where : the part, for errors.
+    electrodes : faces of the electrode of each pin; voltages are relative to the ``cathode``.
+    floating : faces of each electrode without a pin, which has no charge.
+    ports : face or point of each mechanical port; the output is the mean upward displacement, and
+        the force is uniform.
+    fixed : boxes and the axes along which they are fixed, such as ``"xz"``; in a body of
+        revolution, x is the radius.
+    masses : masses [kg] that are spread over faces.
+    faces : ports of the pressure on parts of the surface.
+    moved : whether the model has the port ``base``, the upward acceleration of the support.
+    grid : lines along each axis; without a grid, the largest cell has the ``size`` [m], and each
+        cell is divided by ``refine``.
+    like : body of the same blocks with other sizes, whose mesh is reused with displaced nodes.
+    where : name of the part for error messages.
     """
 
     blocks: Sequence[Block]
@@ -509,7 +526,7 @@ class BondedBlocks:
     def rated(self) -> float | None:
         """Voltage [V] at which a ceramic reaches its depoling field, None if unknown.
 
-        All ceramics have the same field if the electrodes between them float.
+        If the electrodes between ceramics float, all ceramics have the same field.
         """
         limits, thicknesses = [], []
         for block in self.blocks:
@@ -526,8 +543,9 @@ class BondedBlocks:
 
         Raises
         ------
-        UsageError : electrodes that touch each other; in a body of revolution a material that is
-            not isotropic about its axis; edges in another order than in :attr:`like`.
+        UsageError : electrodes touch each other; a material of a body of revolution is not
+        isotropic
+            about the axis; or the sequence of edges along an axis differs from :attr:`like`.
         """
         grid = self.grid or self._divide_axes()
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
@@ -536,10 +554,10 @@ class BondedBlocks:
             return make_device(solid, self._make_setup(solid, near))
 
     def _divide_axes(self) -> list[np.ndarray]:
-        """Divide each axis at all edges, and into equal cells between the edges."""
+        """Divide each axis at all edges of blocks, and into equal cells between the edges."""
         model = self if self.like is None else self.like
         result = []
-        for edges, model_edges in zip(self._edges(), model._edges(), strict=True):
+        for edges, model_edges in zip(self._list_edges(), model._list_edges(), strict=True):
             points, place = _merge_edges(edges)
             counted, alike = _merge_edges(model_edges)
             if not np.array_equal(place, alike):
@@ -557,8 +575,8 @@ class BondedBlocks:
             result.append(np.concatenate([*cut, points[-1:]]))
         return result
 
-    def _edges(self) -> np.ndarray:
-        """Ends (axes, edges) of blocks, electrodes, supports and ports, in this order."""
+    def _list_edges(self) -> np.ndarray:
+        """Return the ends (axes, edges) of all blocks, electrodes, supports and ports."""
         boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
         boxes += map(itemgetter(1), self.fixed)
         boxes += chain(*self.electrodes.values(), *self.floating)
@@ -578,7 +596,7 @@ class BondedBlocks:
         result = tuple(materials.values())
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
-    def _make_setup(self, solid: Solid, near: float) -> Setup:
+    def _make_setup(self, solid: Solid, near: float) -> BoundaryConditions:
         """Return the boundary conditions of the blocks."""
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
 
@@ -604,13 +622,13 @@ class BondedBlocks:
 
         lumped = [mass * shares(box) for mass, box in self.masses]
         shapes = [
-            ForceShape(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
+            PortLoad(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
             for name, box in self.ports.items()
         ]
         for name, face in self.faces.items():
             facets = select_face(solid, face, near)
-            shapes.append(pressure_shape(Port(name, ACOUSTIC.port), solid, facets))
-        return Setup(
+            shapes.append(make_pressure_load(Port(name, ACOUSTIC.port), solid, facets))
+        return BoundaryConditions(
             fixed=fixed.ravel(),
             electrodes={pin: find_nodes(faces) for pin, faces in self.electrodes.items()},
             reference="cathode",
@@ -622,8 +640,8 @@ class BondedBlocks:
         )
 
 
-def outer_faces(box: Box) -> dict[str, RadiatingFace]:
-    """Return the ports of both sides of a plate that fills a box."""
+def list_outer_faces(box: Box) -> dict[str, RadiatingFace]:
+    """Return the radiating faces on the upper and lower side of a plate that fills ``box``."""
     return {
         FRONT_FACE: RadiatingFace(box, upward=True),
         BACK_FACE: RadiatingFace(box, upward=False),
@@ -631,7 +649,7 @@ def outer_faces(box: Box) -> dict[str, RadiatingFace]:
 
 
 def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
-    """Return the facets of a face of a body of blocks."""
+    """Return the facets of a radiating face."""
     inside = solid.mesh.facets_satisfying(
         lambda x: _is_inside_box(face.box, x, near), boundaries_only=True
     )
@@ -640,13 +658,13 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
 
 
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sort edges, merge edges that differ only by rounding, and number each edge."""
+    """Sort edges, merge edges that differ only by rounding errors, and number each edge."""
     points = np.unique(edges)
     points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
 def _is_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points (d, …) in a box, including its boundary."""
+    """Return a mask of the points (d, …) inside a box or on its boundary."""
     low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
     return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

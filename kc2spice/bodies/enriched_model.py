@@ -1,18 +1,18 @@
-"""Corrections of a body's responses by shape functions of one degree more.
+"""Corrections of a body's responses by additional cubic shape functions.
 
-The model ``S w = f``, ``S = [[K, C], [C', -P]]`` of displacements u and potentials p, gets the
-functions of :mod:`kc2spice.fem.enrichment`. A static response w of the mesh leaves the residual
-``r = f - S w``, and the solution of ``S e = r`` is its correction. With the corrections of the
-responses v to a voltage and p to a force,
+The functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f``, ``S = [[K, C],
+[C', -P]]`` of displacements and potentials w. The residual of a static response w of the mesh is
+``r = f - S w``, and the correction e is the solution of ``S e = r``. With the corrections e_v of
+the response to a voltage and e_p of the response to a force,
 
-    dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p,
+    dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p
 
-and a mode gets the nearest eigenvalue. All corrections are in one space of few vectors (Galerkin,
-Rayleigh-Ritz). Solutions for the residuals, alternately with the additional functions alone and
-with the mesh alone, extend this space. Supports and electrodes fix the functions of edges and faces
-all of whose nodes they fix. Loads on the functions themselves are neglected. Sources: R. E. Bank
-and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10
-(2001) 1.
+are the corrections of capacitance, stroke and compliance. A mode gets the nearest eigenvalue. All
+corrections are in one space of few vectors (Galerkin, Rayleigh-Ritz). This space is extended by
+solutions for the residuals, alternately with the additional functions alone and with the mesh
+alone. If a support or electrode fixes all nodes of an edge or face, it also fixes the functions of
+this edge or face. Loads on the additional functions are neglected. Sources: R. E. Bank and R. K.
+Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from kc2spice.rom.pencil import Schur
 
 MAX_ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
 CONVERGED_CHANGE = 0.1  # relative change of the corrections in a round that ends the iteration
-# independent share of a vector, below which the vector is omitted
+# smallest share of a vector outside of the span of others; vectors below this share are omitted
 DEPENDENCE_LIMIT = 1e-8
 
 # displacements and potentials, with one column per solution
@@ -55,7 +55,7 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Return whether frequencies and energies differ little between two corrections."""
+        """Return whether the frequencies and energies of two corrections differ little."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -69,9 +69,9 @@ def correct_responses(
     sectors: int = 1,
     rounds: int = MAX_ROUNDS,
 ) -> Corrections:
-    """Correct the modes, and the responses to voltages and to a force, in this order.
+    """Compute corrections of the modes, and of the responses to voltages and to a force.
 
-    The model consists of ``sectors`` bodies like the solid.
+    The responses have this sequence in the result. The model represents ``sectors`` equal solids.
     """
     model, modes = enrich_model(device, answers.solve, sectors), answers.modes
     z = np.hstack([modes, answers.static, answers.pushed])
@@ -88,16 +88,16 @@ def correct_responses(
     result = None
     for _ in range(rounds):
         for solve in (model.solve_functions, model.solve_mesh):
-            space.extend(solve(space.residuals(static)))
-        before, result = result, space.corrections(initial, static)
+            space.extend(solve(space.compute_residuals(static)))
+        before, result = result, space.compute_corrections(initial, static)
         if before is not None and result.is_near(before):
             break
     assert result is not None
     return result
 
 
-class Blocks(NamedTuple):
-    """Matrix of four sparse blocks: unknowns of the mesh first, then unknowns of the functions."""
+class BlockMatrix(NamedTuple):
+    """Matrix of four sparse blocks: unknowns of the mesh, then unknowns of additional functions."""
 
     mesh: sparse.sparray
     right: sparse.sparray
@@ -105,9 +105,9 @@ class Blocks(NamedTuple):
     functions: sparse.sparray
 
     @property
-    def T(self) -> Blocks:
+    def T(self) -> BlockMatrix:
         """Transpose."""
-        return Blocks(self.mesh.T, self.left.T, self.right.T, self.functions.T)
+        return BlockMatrix(self.mesh.T, self.left.T, self.right.T, self.functions.T)
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
         above, below = np.vsplit(x, [self.mesh.shape[1]])
@@ -117,32 +117,33 @@ class Blocks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnrichedModel:
-    """Device with additional shape functions, as matrices of the module's equations.
+    """Device with additional shape functions, and the matrices K, C, P of the module docstring.
 
-    ``operators`` are the matrices of the functions, ``factors`` the factors of their K and P, None
-    without functions. ``solve_at_rest`` applies ``(K + shift M)^-1`` of the mesh.
+    ``operators`` are the matrices of the additional functions. ``factors`` are the factors of their
+    blocks of K and P, or None without functions. The function ``solve_at_rest`` multiplies by
+    ``(K + shift M)^-1`` of the mesh.
     """
 
     device: FiniteElementModel
     operators: EnrichedOperators
-    K: Blocks
-    C: Blocks
-    P: Blocks
-    M: Blocks
+    K: BlockMatrix
+    C: BlockMatrix
+    P: BlockMatrix
+    M: BlockMatrix
     factors: tuple[Factor | None, Factor | None]
     solve_at_rest: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend responses z (n, k) under voltages (e, k), and compute their residuals.
+        """Extend responses z (n, k) under voltages (e, k) by potentials, and compute residuals.
 
-        The residuals belong to static responses.
+        The residuals are those of static responses.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
         if isinstance(K, Schur):  # K.pp is -K_pp
             load = K.pu @ z
             p = -K.inner.solve(load + lift if len(lift) else load)
-        (u, phi), more = self.device.nodal_values(z, voltages), self.operators
+        (u, phi), more = self.device.compute_nodal_values(z, voltages), self.operators
         r_u = -(more.K_nodes @ u + more.C_nodes @ phi)
         r_p = -(more.D_nodes @ u - more.P_nodes @ phi)
         zeros = 0.0 * r_u, 0.0 * r_p
@@ -150,7 +151,7 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the additional functions alone, with one iteration of their coupling."""
+        """Solve for the additional functions alone, with one iteration of C between K and P."""
         (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
@@ -171,7 +172,7 @@ class EnrichedModel:
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
-        """Split displacements and potentials into parts of the mesh and of functions."""
+        """Split displacements and potentials into the parts of the mesh and of the functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
 
@@ -181,13 +182,13 @@ def enrich_model(
     solve_at_rest: Callable[[np.ndarray], np.ndarray],
     sectors: int = 1,
 ) -> EnrichedModel:
-    """Add functions of one degree more to the model of a device.
+    """Add cubic functions to the model of a device.
 
-    ``solve_at_rest`` applies ``(K + shift M)^-1``.
+    The function ``solve_at_rest`` multiplies by ``(K + shift M)^-1``.
     """
     model, enrichment = device.model, make_enrichment(device.solid)
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
-    K, C, P = _mesh_blocks(model.K)
+    K, C, P = _get_mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
     if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are not potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
@@ -195,16 +196,16 @@ def enrich_model(
     return EnrichedModel(
         device,
         more,
-        Blocks(K, k.T, k, more.K),
-        Blocks(C, (more.D_nodes @ to_u).T, more.C_nodes @ to_phi, more.C),
-        Blocks(P, p.T, p, more.P),
-        Blocks(model.M, m.T, m, more.M),
+        BlockMatrix(K, k.T, k, more.K),
+        BlockMatrix(C, (more.D_nodes @ to_u).T, more.C_nodes @ to_phi, more.C),
+        BlockMatrix(P, p.T, p, more.P),
+        BlockMatrix(model.M, m.T, m, more.M),
         (_factorise(more.K), _factorise(more.P)),
         solve_at_rest,
     )
 
 
-def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
+def _get_mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
     """Return the blocks K, C and P of the stiffness of a mesh."""
     if isinstance(K, Schur):
         return K.uu, K.up, -K.pp
@@ -212,14 +213,14 @@ def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
 
 
 def _factorise(matrix: sparse.csr_array) -> Factor | None:
-    """Factorise a sparse matrix; Return the factor of a matrix; None if the matrix is empty."""
+    """Factorise a sparse matrix; return None if the matrix is empty."""
     return factorise(sparse.csc_array(matrix), definite=True) if matrix.shape[0] else None
 
 
 def _find_free_functions(
     device: FiniteElementModel, enrichment: Enrichment
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of free displacements (functions, d) and free potentials (functions,)."""
+    """Return masks of free displacements (functions, d) and free potentials (functions,)."""
     solid, count = device.solid, enrichment.count
     nodes = solid.basis(1).element_dofs
     free_nodes = _has_separate_unknown(device.displacement).reshape(-1, solid.components)
@@ -233,7 +234,7 @@ def _find_free_functions(
 
 
 def _has_separate_unknown(prolongation: sparse.csc_array) -> np.ndarray:
-    """Return a mask of the nodal values that depend on an independent unknown."""
+    """Return a mask of the nodal values that are independent unknowns of the model."""
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
     result = np.diff(rows.indptr) == 1
@@ -242,7 +243,7 @@ def _has_separate_unknown(prolongation: sparse.csc_array) -> np.ndarray:
 
 
 def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
-    """Number the equipotential (nodes,) of each node; -1 is a free potential."""
+    """Return the number of the electrode (nodes,) of each node, -1 for free potentials."""
     rows = sparse.csr_array(device.potential)
     column = np.full((rows.shape[0], 1), -1.0)
     tied = np.diff(rows.indptr) == 1
@@ -256,10 +257,10 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
 
 
 class _CorrectionSpace:
-    """Spaces of displacements and of potentials, with products with the matrices.
+    """Spaces of displacements and of potentials that contain the corrections.
 
-    The vectors are orthonormal. The spaces begin with ``rigid`` modes and the shapes of other
-    modes.
+    The basis vectors are orthonormal. The first vectors are ``rigid`` modes and the shapes of other
+    modes. The products of the matrices with the vectors are stored.
     """
 
     def __init__(self, model: EnrichedModel, rigid: np.ndarray, shapes: Pair) -> None:
@@ -272,7 +273,7 @@ class _CorrectionSpace:
         self.extend(shapes)
 
     def extend(self, parts: Pair) -> None:
-        """Add the span of the columns of two arrays."""
+        """Add the columns of displacements and of potentials in ``parts`` to the spaces."""
         model = self.model
         u, p = _orthonormalise(self.u, parts[0]), _orthonormalise(self.p, parts[1])
         self.u, self.p = np.hstack([self.u, u]), np.hstack([self.p, p])
@@ -282,7 +283,7 @@ class _CorrectionSpace:
         self.Cp, self.Pp = np.hstack([self.Cp, model.C @ p]), np.hstack([self.Pp, model.P @ p])
 
     def solve_ritz(self) -> tuple[np.ndarray, Pair]:
-        """Compute the eigenvalues (k,) nearest to the modes, and weights of the vectors."""
+        """Compute the eigenvalues (k,) of the modes in the space, and weights of the vectors."""
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
         C, P = self.u.T @ self.Cp, self.p.T @ self.Pp
@@ -294,9 +295,9 @@ class _CorrectionSpace:
         return values[nearest], (vectors[:, nearest], X @ vectors[:, nearest])
 
     def solve_galerkin(self, loads: Pair) -> Pair:
-        """Compute weights of the vectors in the static corrections.
+        """Compute the weights of the vectors in the corrections of static responses.
 
-        The loads move no rigid body.
+        The loads must not move the body as a rigid body.
         """
         elastic = self.u[:, self.rigid :]
         r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
@@ -306,13 +307,13 @@ class _CorrectionSpace:
         u = _solve_definite(K, r_u + C @ y)
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
-    def corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
-        """Compute changes of ``eigenvalues`` of the mesh, and products of corrections."""
+    def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
+        """Return the changes of ``eigenvalues``, and the energy products of static corrections."""
         u, p = self.solve_galerkin(loads)
         products = loads[0].T @ (self.u @ u) + loads[1].T @ (self.p @ p)
         return Corrections(np.sqrt(self.solve_ritz()[0] / eigenvalues) - 1, products)
 
-    def residuals(self, loads: Pair) -> Pair:
+    def compute_residuals(self, loads: Pair) -> Pair:
         """Compute the residuals of modes and static corrections."""
         values, (mode_u, mode_p) = self.solve_ritz()
         u, p = self.solve_galerkin(loads)
@@ -335,7 +336,7 @@ def _solve_definite(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _orthonormalise(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Compute an orthonormal basis of ``columns`` that is orthogonal to another basis."""
+    """Compute an orthonormal basis of ``columns`` that is orthogonal to ``basis``."""
     size = np.linalg.norm(columns, axis=0)
     rest = columns[:, size > 0] / size[size > 0]
     for _ in range(2):

@@ -1,26 +1,28 @@
-"""Difference between the motions of a radiating face and of a piston, and its effect on sound.
+"""Difference between the motions of a radiating face and of a piston, and the effect on sound.
 
-An acoustic port represents the face by its volume velocity alone. With the normal velocity v, the
+An acoustic port represents a face only by its volume velocity. With the normal velocity v, the
 surface S and the wave number k, a face in an infinite baffle has the far field
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
-On the axis, F is the volume velocity for any shape of the motion. Off the axis, F depends on the
-shape, and so does the radiated power ``int |F|^2 dOmega``. A piston of radius a has
-``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
+On the axis, F is the volume velocity for any distribution of v. In other directions, F depends on
+the distribution of v. Therefore, the radiated power ``int |F|^2 dOmega`` also depends on it. A
+piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
 
-Without a baffle, the sound of the back cancels that of the front. A thin disc of radius a then
-radiates as a dipole. At small k a, its field on the axis relative to that in a baffle is
-``k / 2 int v g dS / int v dS`` with ``g = (4 / pi) (a^2 - r^2)^1/2``, the potential difference
-across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed., section 102).
+Without a baffle, the sound of the back of a thin disc cancels the sound of the front. The disc of
+radius a then radiates as a dipole. At small k a, the ratio of its field on the axis to the field in
+a baffle is ``k / 2 int v g dS / int v dS``. Here ``g = (4 / pi) (a^2 - r^2)^1/2`` is the potential
+difference across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed.,
+section 102).
 
 In a closed volume, the mean of v compresses the fluid. The other part of v is a sum of the cross
 modes of the volume, ``v = sum v_n psi_n``, which do not propagate below their cut-off. In a
-cylinder of depth h with cross wave numbers kappa_n, their near field has the mass
+cylinder of depth h with cross wave numbers kappa_n, the near field of these modes has the mass
 
     sum_n rho |v_n|^2 coth(g_n h) / g_n <= rho coth(g_1 h) / g_1 int |v - mean|^2 dS,
 
-with ``g_n^2 = kappa_n^2 - k^2`` and v relative to the unit motion of the body.
+with ``g_n^2 = kappa_n^2 - k^2``. Here v is the normal velocity for a motion of the body with unit
+amplitude.
 """
 
 from __future__ import annotations
@@ -34,11 +36,12 @@ from scipy.special import j0, j1
 
 from kc2spice.bodies.undamped import FiniteElementModel
 
-FACE_QUADRATURE = 5  # order of integration on a face
-# First cross wave numbers of a cylinder times its radius, by symmetry about its axis: the first
-# positive zeros of J1'(x) and of J1(x)
+FACE_QUADRATURE = 5  # degree of exact integration on a face
+# First cross wave number of a cylinder times its radius, keyed by whether the motion is
+# axisymmetric: the first positive zeros of J1'(x) and of J1(x).
 CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
-POLAR_ANGLES, AZIMUTHS = 48, 32  # directions over a half-space; the far field at k a = 20 needs 30
+# numbers of directions over a half-space; for k a = 20, 30 polar angles would be enough
+POLAR_ANGLES, AZIMUTHS = 48, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,35 +65,39 @@ class FaceMotion:
 
     @property
     def area(self) -> float:
-        """Surface of the face [m^2]."""
+        """Area of the face [m^2]."""
         return float(self.areas.sum())
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Displaced volumes (motions,)."""
+        """Volumes (motions,) that the face displaces in each motion."""
         return np.asarray(self.areas @ self.normal)
 
     @property
     def piston_ratios(self) -> np.ndarray:
-        """Return ratios (motions,) of the mean to the rms normal velocity; 1 for a piston."""
+        """Ratios (motions,) of the mean normal velocity to its rms value; 1 for a piston."""
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
 
     @property
     def peak_ratios(self) -> np.ndarray:
-        """Ratios (motions,) of the largest to the mean normal displacement: 1 for a piston."""
+        """Ratios (motions,) of the largest normal displacement to its mean; 1 for a piston."""
         mean = np.abs(self.volumes) / self.area
         return np.asarray(np.abs(self.normal).max(axis=0) / np.where(mean > 0, mean, np.inf))
 
     @cached_property
     def _plane(self) -> np.ndarray:
-        """Return coordinates (2, points) in the plane of the face, relative to its centre."""
+        """Coordinates (2, points) in the plane of the face, relative to its centre."""
         centre = self.places @ self.areas / self.area
         first = np.linalg.svd(self.axis[None])[2][1:]
         return np.asarray(first @ (self.places - centre[:, None]))
 
-    def far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
-        """Return ``F`` (angles, azimuths, motions) for the sines of the angles from the axis."""
+    def compute_far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
+        """Return the far-field integral ``F`` (angles, azimuths, motions) of the normal velocity.
+
+        ``F`` is defined in the module docstring. ``sines`` are the sines of the angles from the
+        axis.
+        """
         if self.axisymmetric:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
         else:
@@ -99,25 +106,26 @@ class FaceMotion:
             kernel = np.exp(1j * wave_number * sines[:, None, None] * rows)
         return np.asarray(kernel @ (self.areas[:, None] * self.normal))
 
-    def power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
-        """Ratios (motions,) of the radiated power to that of a piston of this radius [m].
+    def compute_power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
+        """Return ratios (motions,) of the radiated power to the power of a piston.
 
-        The piston has the same volume velocity; both are in an infinite baffle.
+        The piston has a ``radius`` [m] and the same volume velocity. Both are in an infinite
+        baffle.
         """
         cosines, weights = np.polynomial.legendre.leggauss(POLAR_ANGLES)
         cosines, weights = (cosines + 1) / 2, weights / 2
         sines = np.sqrt(1 - cosines**2)
-        field = np.abs(self.far_field(wave_number, sines)) ** 2
+        field = np.abs(self.compute_far_field(wave_number, sines)) ** 2
         power = weights @ field.mean(axis=1)
         x = wave_number * radius * sines
         piston = weights @ (2 * j1(x) / x) ** 2
         return np.asarray(power / (piston * self.volumes**2))
 
-    def near_field_masses(self, depth: float, wave_number: float) -> np.ndarray:
-        """Largest masses (motions,) of unit fluid density that the near field adds to the motions.
+    def bound_near_field_masses(self, depth: float, wave_number: float) -> np.ndarray:
+        """Return bounds of the masses (motions,) that the near field adds to the motions.
 
-        The fluid fills a cylinder of this depth [m] in front of the face. The mass is infinite if
-        cross modes of the cylinder propagate.
+        The masses are for a fluid of density 1, which fills a cylinder of this ``depth`` [m] in
+        front of the face. If cross modes of the cylinder propagate, the mass is infinite.
         """
         radius = np.sqrt(self.area / np.pi)
         cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
@@ -127,10 +135,10 @@ class FaceMotion:
         decay = np.sqrt(cross)
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
-    def unbaffled_ratios(self, wave_number: float) -> np.ndarray:
-        """Ratios (motions,) of the pressure on the axis without a baffle to that in a baffle.
+    def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
+        """Return ratios (motions,) of the pressures on the axis without and with a baffle.
 
-        The formula of the module holds for a thin body of revolution and small k a.
+        The formula in the module docstring is valid for a thin body of revolution and small k a.
         """
         square = self.area / np.pi - self.places[0] ** 2
         potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))
@@ -139,7 +147,7 @@ class FaceMotion:
 
 
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
-    """Sample the motions z (n, motions) of a full model on facets of its surface."""
+    """Return the normal displacement on facets for motions z (n, motions) of a full model."""
     solid = device.solid
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     places = np.asarray(basis.global_coordinates())

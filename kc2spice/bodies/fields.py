@@ -1,15 +1,14 @@
 """Stress and electric field in a body under the port waveforms of a run.
 
-A run computes the waveforms of the ports. The motion of the body under these inputs follows from a
-projection of the full model on a Krylov basis V. The modes of the projected model are integrated
-exactly for inputs that are linear between samples. Thus z = V x is the response of the full model,
-for the waveforms of any simulator.
+A run computes the waveforms of the ports. For these waveforms, the motion of the body is computed
+with a projection of the full model on a Krylov basis V. The modes of the projected model are
+integrated exactly for inputs that are linear between samples. Therefore, z = V x is the response of
+the full model, for the waveforms of any simulator.
 
-With the displacement u and the potential phi of the full model, element by element,
+Strain S, electric field E and stress T are computed from the displacement u and the potential phi
+in each element separately, so that stresses may jump between materials:
 
-    S = B u,   E = -grad phi,   T = C S - e' E,
-
-so that stresses may jump between materials.
+    S = B u,   E = -grad phi,   T = C S - e' E
 """
 
 from __future__ import annotations
@@ -33,12 +32,13 @@ from kc2spice.rom.pencil import congruence
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40
-# frequency of a rigid-body mode, relative to the highest frequency (rounding error)
+# largest frequency of a rigid-body mode by rounding errors, relative to the highest frequency
 ZERO_FREQUENCY_RATIO = 1e-6
-# rad; a mode with a smaller phase over the whole run counts as a rigid-body mode
+# Smallest phase [rad] of an elastic mode over the whole run. A mode with a smaller phase counts as
+# a rigid-body mode.
 MIN_PHASE = 1e-4
-# Smallest number of instants at which extremes are searched (half equally spaced, half with the
-# largest energy), and largest product of points and instants.
+# Smallest number of instants at which extremes are searched, and largest product of points and
+# instants. Half of the instants are equally spaced, half have the largest energy.
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
 CHUNK_SIZE = 20
@@ -51,7 +51,7 @@ _VTK_CELLS = {
 
 @dataclass(frozen=True, eq=False)
 class NodalMotion:
-    """Motion ``z(t) = basis @ states[t]`` under ``voltages`` (times, ports)."""
+    """Motion ``z(t) = basis @ states[t]`` of a body under the ``inputs`` of its ports."""
 
     device: FiniteElementModel
     time: np.ndarray
@@ -61,7 +61,7 @@ class NodalMotion:
 
     @property
     def voltages(self) -> np.ndarray:
-        """Inputs of the electrical ports (times, e)."""
+        """Voltages (times, e) of the electrical ports."""
         ports = self.device.model.ports
         return self.inputs[:, [port.electrical for port in ports]]
 
@@ -74,13 +74,14 @@ class NodalMotion:
 def recover_motion(
     device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
 ) -> NodalMotion:
-    """Compute the motion of a body under port inputs, keyed by name, in SI units over ``time``.
+    """Compute the motion of a body under ``inputs`` in SI units at the times ``time``.
 
-    Other ports have no input. The body starts in equilibrium with the first values.
+    ``inputs`` maps names of ports to waveforms. Other ports have no input. The body starts in
+    equilibrium with the first values.
 
     Raises
     ------
-    UsageError : a port that the body does not have, or waveforms of another length.
+    UsageError : the body does not have one of the ports, or waveforms differ in length.
     """
     names = [port.name for port in device.model.ports]
     u = np.zeros((len(time), len(names)))
@@ -99,10 +100,10 @@ def recover_motion(
 def compute_lowest_modes(
     device: FiniteElementModel, count: int, end: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the lowest modes with shorted electrodes that the ports excite.
+    """Compute the lowest modes that the ports excite, with shorted electrodes.
 
-    The results are at most ``count`` frequencies [Hz] below ``end``, and displacements (n, modes).
-    Motions without stiffness are omitted.
+    The results are at most ``count`` frequencies [Hz] below ``end``, and the displacements (n,
+    modes). Motions without stiffness are omitted.
     """
     basis, omega, _ = _compute_modes(device, np.inf)
     selected = np.flatnonzero(
@@ -118,7 +119,7 @@ def _compute_modes(
     """Compute the modes of the projected model, their frequencies and damping.
 
     The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
-    diagonal of the modal damping matrix, so coupling of modes through damping is neglected.
+    diagonal of the modal damping matrix; coupling of modes by damping is neglected.
     """
     model, V = device.model, _make_basis(device)
     K, E, M = model.pencil.project(V).coefficients
@@ -143,7 +144,7 @@ def _make_basis(device: FiniteElementModel) -> np.ndarray:
 def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
     """Project the model on a Krylov basis that contains the lowest modes that the ports excite.
 
-    The result has all losses of the model and all its ports.
+    The result has all ports and all losses of the model.
     """
     model, V = device.model, _make_basis(device)
     pencil = model.pencil.project(V)
@@ -172,7 +173,7 @@ class FieldProbe:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
-        # the strains are most accurate at this point; at a collapsed edge they are undefined
+        # strains are most accurate at this point, and undefined at a collapsed edge
         if solid.order == 1:
             local = 0.5 + (local - 0.5) / np.sqrt(3)
         nodes = (local.T, np.ones(len(local)))
@@ -180,12 +181,14 @@ class FieldProbe:
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
         self._operators = list(list_strain_operators(solid, self.basis))
 
-    def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_nodal_values(
+        self, z: np.ndarray, voltages: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements and potentials at the nodes."""
-        return self.device.nodal_values(z, voltages)
+        return self.device.compute_nodal_values(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute stress (points, 6, k) and field (points, 3, k) of nodal columns."""
+        """Compute stress (points, 6, k) and electric field (points, 3, k) from nodal values."""
         solid, nodes = self.device.solid, self.basis.element_dofs.T
         d = solid.components
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -211,12 +214,12 @@ def evaluate_at_nodes(
 ) -> dict[str, np.ndarray]:
     """Evaluate all fields at the nodes of the elements, element by element.
 
-    The fields are those under z (n,) and voltages (e,): ``displacement`` (points, 3) [m],
-    ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in
+    For the unknowns z (n,) and the voltages (e,), the result contains ``displacement`` (points, 3)
+    [m], ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in
     Voigt order. ``material`` is the number of the material.
     """
     probe = FieldProbe(device, gauss=False)
-    u, phi = probe.nodal_values(z[:, None], voltages[:, None])
+    u, phi = probe.compute_nodal_values(z[:, None], voltages[:, None])
     T, E = probe.stress(u, phi)
     nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
     moves = np.zeros((nodes.size, 3))
@@ -225,16 +228,16 @@ def evaluate_at_nodes(
     return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
 
-def largest_principal_stress(stress: np.ndarray) -> np.ndarray:
+def compute_largest_principal_stress(stress: np.ndarray) -> np.ndarray:
     """Return the largest principal stress of Voigt stresses (..., 6).
 
-    The stress is the trigonometric root of the cubic characteristic equation.
+    It is computed as the trigonometric solution of the cubic characteristic equation.
     """
     xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
     parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
     size = np.abs(parts).max(axis=0)
-    # cubes of very small stresses would underflow
+    # without scaling, cubes of very small stresses would underflow
     a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)
     radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
     determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
@@ -243,7 +246,7 @@ def largest_principal_stress(stress: np.ndarray) -> np.ndarray:
     return np.asarray(mean + 2 * size * radius * np.cos(angle))
 
 
-# Fields evaluated in each material: unit, and name of the material limit.
+# Quantities that are evaluated in each material: unit, and name of the material's limit.
 FIELD_QUANTITIES = {
     "principal_stress": ("Pa", "tensile_strength"),
     "electric_field": ("V/m", "breakdown_field"),
@@ -255,9 +258,9 @@ FIELD_QUANTITIES = {
 class Extreme(EqualByContent):
     """Largest value of one of :data:`FIELD_QUANTITIES` in one material over time.
 
-    The ``value`` occurs at ``instant`` [s] and ``place`` [m]. ``curve`` (instants,) is the largest
-    value in the material at each of ``time``. ``limit`` is the limit of the material, None if
-    unknown.
+    The ``value`` occurs at ``instant`` [s] and ``place`` [m]. ``curve`` (instants,) contains the
+    largest value in the material at each instant of ``time``. ``limit`` is the limit of the
+    material, None if unknown.
     """
 
     material: str
@@ -277,8 +280,8 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     The extremes are the largest principal stress, and in piezoelectric materials the largest
     electric field and the largest field against the poling.
 
-    The function evaluates Gauss points, because the stress of linear elasticity at re-entrant
-    corners and edges of clamps grows without bound as the mesh is refined.
+    The extremes are searched at Gauss points. At re-entrant corners and edges of clamps, the stress
+    of linear elasticity grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
     selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))
@@ -287,8 +290,8 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     electrodes = motion.voltages.shape[1]
     still = np.zeros((motion.basis.shape[0], electrodes))
     shorted = np.zeros((electrodes, motion.basis.shape[1]))
-    T, E = probe.stress(*probe.nodal_values(motion.basis, shorted))
-    T_V, E_V = probe.stress(*probe.nodal_values(still, np.eye(electrodes)))
+    T, E = probe.stress(*probe.compute_nodal_values(motion.basis, shorted))
+    T_V, E_V = probe.stress(*probe.compute_nodal_values(still, np.eye(electrodes)))
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[selected]
     names = np.array([material.name for material in solid.materials])[probe.owner]
@@ -320,9 +323,9 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
 def _evaluate_quantity(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Compute one of :data:`FIELD_QUANTITIES` (states, points) from stress and field."""
+    """Compute one of :data:`FIELD_QUANTITIES` (states, points) from stress and electric field."""
     if quantity == "principal_stress":
-        return largest_principal_stress(np.moveaxis(T @ states.T, -1, 0))
+        return compute_largest_principal_stress(np.moveaxis(T @ states.T, -1, 0))
     field = np.moveaxis(E @ states.T, -1, 0)
     if quantity == "electric_field":
         return np.asarray(np.linalg.norm(field, axis=-1))
@@ -330,7 +333,7 @@ def _evaluate_quantity(
 
 
 def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
-    """Choose samples at equal distances in time, and samples of highest energy."""
+    """Choose samples at equal distances in time, and samples with the highest energy."""
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
     energy = energy / (energy.max() or 1.0)
@@ -343,14 +346,14 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
     """Write displacement, potential, field and stresses to a VTU file, in SI units."""
     data = evaluate_at_nodes(device, z, voltages)
-    data["principal_stress"] = largest_principal_stress(data["stress"])
+    data["principal_stress"] = compute_largest_principal_stress(data["stress"])
     write_nodal_values(path, device.solid, data)
 
 
 def write_nodal_values(path: Path, solid: Solid, values: Mapping[str, np.ndarray]) -> None:
     """Write values at the nodes of every element (points, …) to a VTU file.
 
-    The file repeats a node in each element that contains it, because values can jump between
+    The file contains a node once for each element at the node, because values can jump between
     elements.
     """
     import meshio

@@ -20,9 +20,9 @@ from kc2spice.bodies.heat_model import HeatModel
 from kc2spice.core.errors import wrong
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
-BASIS_SIZE = 40  # vectors of the Krylov basis
-SEARCH_INSTANTS = 200  # instants at which the highest temperature is searched
-# rate of a body that loses no heat, relative to the reciprocal duration of the run
+BASIS_SIZE = 40  # number of vectors of the Krylov basis
+SEARCH_INSTANTS = 200  # number of instants at which the highest temperature is searched
+# largest rate of a body that loses no heat, relative to the reciprocal duration of the run
 SLOW_RATE_RATIO = 1e-3
 
 
@@ -36,11 +36,11 @@ class TemperatureField:
     states: np.ndarray
 
     def at(self, instant: float) -> np.ndarray:
-        """Return temperature rises (nodes,) [K] at the sample nearest to ``instant`` [s]."""
+        """Return the temperature rises (nodes,) [K] at the sample nearest to ``instant`` [s]."""
         return np.asarray(self.basis @ self.states[int(np.argmin(np.abs(self.time - instant)))])
 
-    def hottest(self) -> list[HotSpot]:
-        """Return the highest temperature rise of each material, over time."""
+    def find_hot_spots(self) -> list[HotSpot]:
+        """Return the highest temperature rise of each material during the run."""
         even = np.linspace(self.time[0], self.time[-1], SEARCH_INSTANTS)
         chosen = np.unique(np.searchsorted(self.time, even))
         values = self.basis @ self.states[chosen].T
@@ -58,7 +58,10 @@ class TemperatureField:
 
 @dataclass(frozen=True, eq=False)
 class HotSpot:
-    """Highest temperature rise ``value`` [K] of a material, at ``instant`` [s], and its curve."""
+    """Highest temperature rise ``value`` [K] of a material, which occurs at ``instant`` [s].
+
+    ``curve`` is the temperature rise of the hottest node of the material at the times ``time``.
+    """
 
     material: str
     value: float
@@ -70,14 +73,14 @@ class HotSpot:
 def recover_temperatures(
     heat: HeatModel, time: np.ndarray, flows: Mapping[str, np.ndarray]
 ) -> TemperatureField:
-    """Return the temperatures of a body under heat flows [W] into its ports, by name.
+    """Compute the temperatures of a body under heat flows [W] into its ports.
 
-    The body starts in equilibrium with the first heat flows if it leads heat away, otherwise at the
-    temperature zero.
+    ``flows`` maps names of ports to heat flows. A body with a thermal path to the ambient starts in
+    equilibrium with the first heat flows, any other body at the temperature rise zero.
 
     Raises
     ------
-    UsageError : heat flows of another length, or of a port that the body does not have.
+    UsageError : heat flows differ in length, or the body does not have one of the ports.
     """
     model, names = heat.model, [port.name for port in heat.model.ports]
     q = np.zeros((len(time), len(names)))
@@ -108,10 +111,9 @@ def recover_temperatures(
 def _integrate_modes(
     rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
 ) -> np.ndarray:
-    """Return the states (times, modes) of ``times (x' + rates x) = loads``, ``x = loads`` in the
-    steady state.
+    """Integrate ``times (x' + rates x) = loads`` for each mode; return the states (times, modes).
 
-    Loads are linear between samples. A massless mode is equal to its load.
+    Loads are linear between samples. The state of a massless mode is equal to its load.
     """
     result = np.where(moving, 0.0, loads)
     settles = moving & (rates > 0)
@@ -121,7 +123,7 @@ def _integrate_modes(
     result[0, moving] = x[moving]
     for k, step in enumerate(np.diff(t), 1):
         z = rates * step
-        # integrals of e^(-rate s) with a constant and with a linear load
+        # integrals of e^(-rate s) times a constant load and times a linear load
         small = z < 1e-4
         safe = np.where(small, 1.0, z)
         decay = np.exp(-z)

@@ -1,14 +1,14 @@
 """Finite-element models of heat in solids, with pins for heat sources and temperatures.
 
-The unknowns z are temperature rises over the ambient temperature: one for each free node, one for
-each isothermal face, and one behind each film with a pin. With ``T = P z`` and the matrices of
-:mod:`kc2spice.fem.heat_conduction`,
+The unknowns z are temperature rises above the ambient temperature: one for each free node, one for
+each isothermal face, and one outside each film with a pin. With ``T = P z`` and the matrices of
+:mod:`kc2spice.fem.heat_conduction`, the model is
 
     E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P + films with pins,
     E z' + K z = B q,   y = B' z.
 
-A source spreads its heat flow q evenly over a group, and its temperature is the mean over this
-group. E and K are symmetric and positive semi-definite, so that the model is passive.
+A source distributes its heat flow q evenly over a group, and the temperature of the source is the
+mean over this group. E and K are symmetric and positive semi-definite, so the model is passive.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from kc2spice.rom.linear_model import LinearModel, Port
 HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # fact: heat capacity of the whole body
 # name of the frequency up to which the mesh resolves the response
 MESH_LIMIT_NAME = "mesh_limit_hz"
-# Share of the error of a thermal resistance that the estimate from recovered heat flows detects:
-# 0.32 for uniform heat flow into a disc, 0.42 for a disc with one temperature, measured against
-# much finer meshes.
+# Share of the error of a thermal resistance that the estimate from recovered heat flows detects.
+# Compared with much finer meshes, it is 0.32 for a uniform heat flow into a disc, and 0.42 for an
+# isothermal disc.
 RECOVERED_SHARE = 0.35
-# prefix of the names RESISTANCE_PREFIX + PORT + "_k_per_w"
+# beginning of the names RESISTANCE_PREFIX + PORT + "_k_per_w"
 RESISTANCE_PREFIX = "thermal_resistance_"
 MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that is stated
 
@@ -48,7 +48,7 @@ MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that is stated
 class HeatFilm:
     """Faces that transfer heat: ``coefficient`` [W/(m^2 K)] times the temperature difference.
 
-    Without a ``port`` the heat goes to the ambient temperature.
+    Without a ``port``, the heat flows to the ambient temperature.
     """
 
     facets: np.ndarray
@@ -57,18 +57,18 @@ class HeatFilm:
 
 
 @dataclass(frozen=True, eq=False)
-class HeatSetup:
-    """Boundary conditions and ports of a solid.
+class HeatBoundaryConditions:
+    """Thermal boundary conditions and ports of a solid.
 
     Attributes
     ----------
     fixed : nodes at the ambient temperature.
-    isothermal : port and nodes of each face with one temperature.
+    isothermal : port and nodes of each isothermal face.
     sources : port and shares of nodes (nodes,) of each heat source.
-    films : faces that give off heat.
+    films : faces that transfer heat to a fluid.
     interfaces : inner faces and their resistance [m^2 K/W].
-    points : names of sources at a point, whose own resistance grows without bound as the mesh is
-        refined.
+    points : names of sources at a point. Their thermal resistance grows without bound as the mesh
+        is refined.
     """
 
     fixed: np.ndarray = field(default_factory=lambda: np.empty(0, int))
@@ -88,15 +88,15 @@ class HeatModel:
     temperature: sparse.csc_array
 
 
-def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
-    """Make the model of a solid with its characteristic values.
+def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatModel:
+    """Make the heat model of a solid, and its characteristic values.
 
-    The value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port for 1 W into it
-    alone.
+    The value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port for 1 W into
+    this port, and no heat flow into other ports.
 
     Raises
     ------
-    UsageError : isothermal or fixed faces have common nodes.
+    UsageError : isothermal or fixed faces have nodes in common.
     """
     E, K = assemble_heat(solid)
     capacity = float(E.sum())
@@ -119,14 +119,14 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
             ports.append(film.port)
     temperature = sparse.csc_array(P)
     facts = {"unknowns": float(P.shape[1]), HEAT_CAPACITY_NAME: capacity}
-    facts[MESH_LIMIT_NAME] = _highest_frequency(solid)
-    if _conducts_away(setup):
+    facts[MESH_LIMIT_NAME] = _find_highest_frequency(solid)
+    if _has_thermal_path(setup):
         answers = splu(K).solve(B)
         resistances = np.einsum("np,np->p", B, answers)
         spread = np.array([port.name not in setup.points for port in ports], dtype=bool)
         for port, resistance in zip(ports, resistances, strict=True):
             if port.name not in setup.points:
-                facts[_resistance_name(port)] = float(resistance)
+                facts[_get_resistance_name(port)] = float(resistance)
         energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
         errors = energies / resistances[spread] / RECOVERED_SHARE
         facts[f"{MESH_ERROR_PREFIX}resistance"] = float(
@@ -136,23 +136,23 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
     return HeatModel(model, solid, temperature)
 
 
-def _resistance_name(port: Port) -> str:
+def _get_resistance_name(port: Port) -> str:
     """Return the name of the thermal resistance of a port."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
-def static_resistances(model: LinearModel) -> dict[str, float]:
+def compute_static_resistances(model: LinearModel) -> dict[str, float]:
     """Return the temperature rise of each port for 1 W into this port, keyed by name."""
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
-    return {_resistance_name(port): float(value) for port, value in pairs}
+    return {_get_resistance_name(port): float(value) for port, value in pairs}
 
 
-def _highest_frequency(solid: HeatSolid) -> float:
+def _find_highest_frequency(solid: HeatSolid) -> float:
     """Return the highest frequency [Hz] that the mesh resolves.
 
-    A temperature that varies like ``sin(pi x / h)`` over elements of the size h decays at the rate
-    ``k pi^2 / (rho c h^2)``.
+    It is the rate ``k pi^2 / (rho c h^2)`` at which a temperature that varies like ``sin(pi x /
+    h)`` decays, where h is the size of an element.
     """
     mesh, result = solid.geometry.mesh, 0.0
     basis = solid.geometry.basis(1)
@@ -165,8 +165,11 @@ def _highest_frequency(solid: HeatSolid) -> float:
     return result
 
 
-def _constrain_temperatures(solid: HeatSolid, setup: HeatSetup) -> sparse.csc_array:
-    """Return ``P`` (nodes, z): free nodes first, then one column for each isothermal face."""
+def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
+    """Return the matrix ``P`` (nodes, unknowns) of ``T = P z``.
+
+    It has a column for each free node, then one for each isothermal face.
+    """
     constraint_count = np.zeros(solid.count, int)
     constraint_count[setup.fixed] = 1
     for port, nodes in setup.isothermal:
@@ -191,7 +194,7 @@ def _add_film_pin(
     solid: HeatSolid,
     film: HeatFilm,
 ) -> tuple[sparse.csc_array, sparse.csc_array, np.ndarray]:
-    """Add the temperature a behind a film: the heat flow is ``h int (T - a)``."""
+    """Add the temperature a outside a film as an unknown; the heat flow is ``h int (T - a)``."""
     H = film.coefficient * assemble_faces(solid, film.facets)
     load = np.zeros(len(B))
     nodal = P.T @ H.sum(axis=1)
@@ -203,17 +206,18 @@ def _add_film_pin(
     return sparse.csc_array(E), sparse.csc_array(K), B
 
 
-def _conducts_away(setup: HeatSetup) -> bool:
-    """Whether a path inside the body leads heat to the ambient temperature."""
+def _has_thermal_path(setup: HeatBoundaryConditions) -> bool:
+    """Return whether the body has a thermal path to the ambient temperature."""
     return bool(setup.fixed.size) or any(film.port is None for film in setup.films)
 
 
 def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.ndarray:
     """Estimate ``int (q* - q) . k^-1 (q* - q)`` (columns,) of temperatures (nodes, columns).
 
-    ``q = -k grad T`` jumps between elements. ``q*`` is its projection on continuous functions in
-    each material. The integral estimates the error of the dissipation ``T'K T``, and therefore of a
-    thermal resistance. (O. C. Zienkiewicz, J. Z. Zhu, Int. J. Numer. Methods Eng. 24 (1987) 337.)
+    The heat flow ``q = -k grad T`` jumps between elements. ``q*`` is the projection of q on
+    functions that are continuous in each material. The integral estimates the error of ``T'K T``,
+    and therefore the error of a thermal resistance. Source: O. C. Zienkiewicz, J. Z. Zhu, Int. J.
+    Numer. Methods Eng. 24 (1987) 337.
     """
     result = np.zeros(temperatures.shape[1])
     for number, material in enumerate(solid.materials):

@@ -1,15 +1,16 @@
 """Values of an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD model.
 
-The Butterworth-Van Dyke circuit is a capacitor C0 in parallel to a branch of R, L, C in series.
-With s = j w,
+The Butterworth-Van Dyke circuit is a capacitor C0 in parallel with a branch of R, L, C in series.
+With s = j w, its admittance is
 
     Y(s) = s C0 + s C / (1 + s R C + s^2 L C),
 
-f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective coupling
-``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied by its
-denominator, the circuit is linear in its coefficients. The coefficients are fitted to the samples
-around the resonance, and a few iterations update the weights (Sanathanan and Koerner, IEEE Trans.
-Autom. Control 8 (1963) 56). Therefore f_s may lie between the frequencies of the samples.
+The values are f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective
+coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied
+by its denominator, the equation for Y is linear in its coefficients. The coefficients are fitted to
+the samples around the resonance, and a few iterations update the weights (Sanathanan and Koerner,
+IEEE Trans. Autom. Control 8 (1963) 56). Therefore, f_s may lie between the frequencies of the
+samples.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from kc2spice.core.errors import wrong
 
-_MIN_SAMPLES = 7  # samples around the resonance; the fit has six real coefficients
+_MIN_SAMPLES = 7  # smallest number of samples around the resonance; the fit has six coefficients
 _FIT_ITERATIONS = 8
 OVERDAMPED_Q = 0.5  # Q factor of a critically damped circuit, whose charge has no overshoot
 # smallest ratio of the largest conductance of a resonance to the rms residual of its circuit
@@ -38,7 +39,7 @@ class BVD:
     cm_f: float
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Compute Y (n,) complex at frequencies [Hz]."""
+        """Compute the complex admittance (n,) at frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         branch = self.rm_ohm + s * self.lm_h + 1 / (s * self.cm_f)
         return s * self.c0_f + 1 / branch
@@ -46,7 +47,7 @@ class BVD:
 
 @dataclass(frozen=True)
 class AnalyserValues:
-    """Values of an impedance analyser: metrics of an ``ac`` scene by their names."""
+    """Values of an impedance analyser; the fields have the names of metrics of an ``ac`` scene."""
 
     resonance_hz: float
     antiresonance_hz: float
@@ -56,7 +57,7 @@ class AnalyserValues:
     bvd: BVD
 
 
-# SI units of the metrics, and of the elements in ``bvd``; dimensionless metrics are missing
+# SI units of the metrics and of the elements in ``bvd``; dimensionless metrics are omitted
 METRIC_UNITS = {
     "resonance_hz": "Hz", "antiresonance_hz": "Hz", "capacitance_f": "F",
     "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
@@ -64,15 +65,15 @@ METRIC_UNITS = {
 
 
 def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
-    """Analyse the first resonance in samples of Z over f (increasing, Hz).
+    """Analyse the first resonance in samples of an impedance at increasing frequencies [Hz].
 
-    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. Below
-    the lowest sample, the value of the circuit is used.
+    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. If
+    this frequency is below the lowest sample, Y of the fitted circuit is used.
 
     Raises
     ------
-    UsageError : the samples are not an impedance, or contain no resonance or too few points around
-    it.
+    UsageError : the samples are not an impedance, contain no resonance, or have too few points
+        around the resonance.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
@@ -112,7 +113,7 @@ def _require_resonance(
     Dielectric losses, or rounding errors of a body without loss, also cause such maxima.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
-    # the remainder is the loss of the dielectric and of other modes
+    # the conductance without the branch is the loss of the dielectric and of other modes
     conductance = Y.real - branch.real
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
     got = f"{f[0]:g} to {f[-1]:g} Hz"
@@ -128,8 +129,8 @@ def _require_resonance(
 def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     """Select the samples around a resonance and its antiresonance.
 
-    The window begins half the width of the resonance's skirt below f_s. A resonance is a local
-    maximum of G/w that reaches a twentieth of the strongest one.
+    The samples begin below f_s, at half of the distance over which the resonance affects Y. A
+    resonance is a local maximum of G/w that is at least a twentieth of the largest maximum.
     """
     G = Y.real / f
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
@@ -157,11 +158,12 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
 def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
     """Fit a circuit by weighted linear least squares.
 
-    With f and Y scaled to one, the fit finds the coefficients of
+    f and Y are scaled to one. The fitted coefficients are those of
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 
-    The term g represents the loss of the dielectric and of higher modes, which the circuit lacks.
+    The term g represents the loss of the dielectric and of higher modes, which the circuit does not
+    contain.
     """
     unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
     s, y = 1j * f / unit, Y / size

@@ -1,20 +1,22 @@
 """Error estimates of the mesh of a body: natural frequencies and static values.
 
-With the energy product A of displacements and potentials and the errors e of modes w, and of the
-responses v to a voltage and p to a force,
+A is the energy product of displacements and potentials. The errors of frequency, capacitance and
+stroke are computed from the errors e of modes w, of the response v to a voltage, and of the
+response p to a force:
 
     df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
 
-On triangles, tetrahedra and quadrilaterals, e is the correction by shape functions of one degree
-more (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports the solution is
-singular and converges slowly with the degree, so the functions correct only a part of the error,
-:data:`CORRECTED_SHARE`. On hexahedra these functions would cost more than the model, and e is the
-difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
+On triangles, tetrahedra and quadrilaterals, e is the correction by cubic shape functions
+(:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports, the solution is
+singular and converges slowly with the degree. The functions therefore correct only a part of the
+error, :data:`CORRECTED_SHARE`. On hexahedra, cubic functions would need more time than the model,
+and e is the difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
 
-In the error of a stroke, contributions of both signs may cancel by chance. A part of their absolute
-values on hexahedra, :data:`ABSOLUTE_SHARE`, is added to their sum, and on other elements a part,
-:data:`BOUND_SHARE`, of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All factors were determined by
-comparison with much finer meshes; ``tests/physics/test_mesh_error.py`` limits the difference.
+In the error of a stroke, positive and negative contributions may cancel by chance. Therefore, the
+estimate is increased. On hexahedra, :data:`ABSOLUTE_SHARE` of the absolute contributions of the
+elements is added. On other elements, :data:`BOUND_SHARE` of the bound ``sqrt(A(e_p, e_p) A(e_v,
+e_v))`` is added. All factors were determined by comparison with much finer meshes;
+``tests/physics/test_mesh_error.py`` limits the difference.
 """
 
 from __future__ import annotations
@@ -27,28 +29,28 @@ from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import compute_energy_products
 
-# Share of the error that functions of one degree more correct: 0.56 of an energy error whose
-# solution grows like r^0.5 from an edge, 1 - (2/3)^2; 0.68 with r^0.7 of a clamp; 0.4 to 0.9 on the
-# meshes of tests/physics/test_mesh_error.py.
+# Share of the error that cubic functions correct. For a solution that varies like r^0.5 at an edge,
+# it is 1 - (2/3)^2 = 0.56 of the energy error, and 0.68 for r^0.7 at a clamp. It is 0.4 to 0.9 on
+# the meshes of tests/physics/test_mesh_error.py.
 CORRECTED_SHARE = 0.6
-# Share of the error bound that is added to the error of a stroke. Otherwise, strokes whose product
-# is below a tenth of its bound have an estimate of half their error.
+# Share of the error bound that is added to the error of a stroke. Without this share, strokes whose
+# energy product is below a tenth of the bound have an estimate of only half of the error.
 BOUND_SHARE = 0.05
 # Share of the sum of absolute element contributions in the error estimate of a static response. In
-# beams, where contributions cancel, their sum is only 0.3 of the error.
+# beams, where contributions cancel, the sum with signs is only 0.3 of the error.
 ABSOLUTE_SHARE = 1 / 3
-MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the value itself
-# smallest relative mesh error; smaller errors are rounding or due to port nodes
+MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the value before
+# smallest relative mesh error that is stated; smaller errors are rounding errors or errors of ports
 MIN_STATED_ERROR = 1e-4
 
 
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimate relative mesh errors of characteristic values, keyed by their names.
+    """Estimate the relative mesh errors of characteristic values, keyed by name.
 
-    The names begin with :data:`MESH_ERROR_PREFIX`. The model consists of ``sectors`` bodies like
-    the solid. ``modes`` is the largest error of all modes that were computed.
+    The names begin with :data:`MESH_ERROR_PREFIX`. The error ``modes`` is the largest error of all
+    computed modes. The model represents ``sectors`` equal solids.
     """
     volts = answers.static.shape[1]
     estimate = (
@@ -68,17 +70,18 @@ def estimate_mesh_errors(
         pushed = answers.pushed[:, 0]
         changes["compliance"] = products[-1, -1] / (pushed @ (device.model.K @ pushed))
     return {
-        f"{MESH_ERROR_PREFIX}{name}": _relative_error(change) for name, change in changes.items()
+        f"{MESH_ERROR_PREFIX}{name}": _convert_to_relative_error(change)
+        for name, change in changes.items()
     }
 
 
 def _estimate_by_enrichment(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate errors of frequencies and static responses by enrichment.
+    """Estimate errors of frequencies and static responses by cubic shape functions.
 
-    The results are relative changes of frequencies (modes,), and energy products (a, a) of the
-    errors of static responses.
+    The results are the relative changes of frequencies (modes,), and the energy products (a, a) of
+    the errors of static responses.
     """
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products
@@ -90,14 +93,15 @@ def _estimate_by_enrichment(
 def _estimate_by_recovery(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the mesh error from recovered strains and fields; results as in
-    :func:`_estimate_by_enrichment`.
+    """Estimate errors of frequencies and static responses by recovered strains and fields.
+
+    The results are those of :func:`_estimate_by_enrichment`.
     """
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
     voltages = np.zeros((volts, z.shape[1]))
     voltages[:, n : n + volts] = np.eye(volts)
-    products = compute_energy_products(device.solid, *device.nodal_values(z, voltages))
+    products = compute_energy_products(device.solid, *device.compute_nodal_values(z, voltages))
     energy, error = np.diag(products.solution), np.diag(products.error)
     static = products.error[n:, n:].copy()
     if volts:
@@ -109,6 +113,6 @@ def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.copysign(np.hypot(values, others), values)
 
 
-def _relative_error(change: float) -> float:
-    """Convert a change relative to the value into an error relative to the corrected value."""
+def _convert_to_relative_error(change: float) -> float:
+    """Convert a change relative to the value to an error relative to the corrected value."""
     return float(max(abs(change) / max(1 + change, MIN_CORRECTION_RATIO), MIN_STATED_ERROR))

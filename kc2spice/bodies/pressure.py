@@ -1,40 +1,41 @@
-"""Pressure on the top of a stack: a contact port that converges with the mesh.
+"""Pressure on the top of a stack: a contact port that converges as the mesh is refined.
 
-A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
-mesh is refined. In this module, pressures are piecewise linear in the radius (P1), and
+A force on a circle of mesh nodes is a line load. Its indentation grows without bound as the mesh is
+refined. In this module, pressures are piecewise linear functions of the radius (P1), and
 displacements are averages over the same basis functions. The mesh of the whole stack is too coarse
-for these functions. The port of this mesh is a patch that is loaded as by a flat punch. With the
-static compliance S (n, n) of the basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and
-each function moves by the same ``S w = s 1``. Then
+for these functions. The port of the coarse mesh is a patch with the pressure of a flat punch. If S
+(n, n) is the static compliance of the basis functions, the shares ``w = S^-1 1 / (1' S^-1 1)`` move
+all functions by the same displacement: ``S w = s 1``. The displacement of function i is
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
 where S is the compliance of a round stack of the same layers on a graded axisymmetric mesh.
-``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum
-restores the compliance that the coarse mesh lacks. The difference between the round stack and the
-real one is smooth, and thus equal for all basis functions. This part of the motion is dynamic, and
-the port of the patch includes it. The matrix is positive semi-definite because ``S - s 1 1'`` is
-(s is the least compliance of all shares), and because a coarse mesh is too stiff.
+``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum adds
+the compliance that the coarse mesh does not represent. The displacements of the round stack and of
+the real stack differ by a smooth function, which is nearly equal for all basis functions. The port
+of the patch includes this dynamic part of the motion. ``S - s 1 1'`` is positive semi-definite,
+because s is the smallest compliance of all shares. A coarse mesh is too stiff, so that s_patch is
+smaller than s, and the matrix of the sum is also positive semi-definite.
 
 The local compliance has no inertia, like residual modes (:mod:`kc2spice.rom.modal`): the modes of
-the patch are above ten megahertz (speed of sound divided by its size). Therefore only the depth x
-of a sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of
-one depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
+the patch are above ten megahertz (speed of sound divided by its size). Therefore, the forces depend
+only on x, the indentation of a sphere relative to the patch. The sum of the forces is a function of
+x (:func:`fit_indentation_law`), which a circuit evaluates like the force of one spring.
 
-The counterpart may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis.
-The quadrilaterals of its mesh grow with the distance from the lowest point. The conformal map
-``zeta = w / (1
-- i w / 2R)`` of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the
-half disc, h the height above the pole. A grid of the angles x, along the surface, and y, along the
-axis, has right angles everywhere and, at the pole, the lines of the basis. The other pole is at
-infinity. The mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1e-5
-of the mass.
+The other body may be a free elastic :class:`TransverselyIsotropicSphere` with the same basis. The
+quadrilaterals of its mesh grow with the distance from the lowest point. With ``zeta = r + i h``, h
+the height above the pole, the conformal map ``zeta = w / (1 - i w / 2R)`` transforms the quarter
+plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc. A grid of the angles x along the surface
+and y along the axis has right angles everywhere. At the pole, its lines are the nodes of the basis.
+The other pole is at infinity. The mesh omits a pit of the radius ``R / 30`` at this pole, which has
+1e-5 of the mass.
 
 Displacements of the sphere are relative to its centre of mass. The rigid motion of the sphere along
-the axis is t (n,), its mass ``m = t' M t``. Forces F at the ports B act together with the inertia
-that balances them, ``B - M t t' B / m``, and so do not move the centre. A spring ``(M t) (M t)' w^2
-/ m`` on the motion, as one unknown that is eliminated, makes K definite. No force deforms this
-spring, and no output measures its deformation. A uniform force, such as weight, has no effect.
+the axis is t (n,), and its mass is ``m = t' M t``. To forces at the ports B, the inertia forces
+that balance them are added: ``B - M t t' B / m``. Thus the forces do not move the centre. A spring
+``(M t) (M t)' w^2 / m`` on the rigid motion makes K definite; it is represented by an unknown that
+is eliminated. No force deforms this spring, and no output measures its deformation. A uniform
+force, such as weight, has no effect.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import ForceShape, Setup, make_undamped_model
-from kc2spice.bodies.fields import FieldProbe, largest_principal_stress
+from kc2spice.bodies.device import BoundaryConditions, PortLoad, make_undamped_model
+from kc2spice.bodies.fields import FieldProbe, compute_largest_principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
 from kc2spice.bodies.stack_keys import PATCH_PORT, Chip
@@ -61,26 +62,29 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
-CELLS_PER_NODE = 3  # cells of the graded mesh between two nodes of the basis
+CELLS_PER_NODE = 3  # number of cells of the graded mesh between two nodes of the basis
 CELL_GROWTH = 1.3  # ratio of successive cell sizes away from the nodes
 EVEN_RADIUS_RATIO = 0.2  # radius with equally spaced nodes, relative to the radius of the patch
 # largest contact radius of a force law, relative to the radius of the patch
 MAX_CONTACT_RATIO = 0.5
-MIN_FUNCTIONS = 5  # basis functions under the smallest contact to which the law is fitted
+MIN_FUNCTIONS = 5  # number of basis functions under the smallest contact to which the law is fitted
 LAW_DEGREE = 5  # degree of the law's polynomial in the contact's radius
 FIT_DEPTHS = 300  # number of indentations to which the law is fitted
-# added to the diagonal as a fraction of a function's compliance, to make the matrix definite
+# Share of its compliance that is added to the diagonal entry of a function, to make the matrix
+# definite.
 REGULARISATION = 1e-7
-OBLATE_FREQUENCY = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
+# 2 pi f R / c of the lowest mode of a sphere, with the speed c of shear waves (Lamb 1882, nu =
+# 0.25)
+OBLATE_FREQUENCY = 2.65
 MAX_CELL_ANGLE = 1 / 8  # rad, largest angle of a cell
 PIT_ANGLE = 1 / 60  # rad, angle around the upper pole without cells
 
 
 @dataclass(frozen=True, eq=False)
 class PressureBasis(EqualByContent):
-    """Piecewise linear pressures over the radius (P1), one function per node of ``nodes`` [m].
+    """Piecewise linear functions of the radius (P1) for pressures, one per node of ``nodes`` [m].
 
-    Function j is 1 at node j and 0 at the others. At the last node, the edge of the patch, the
+    Function j is 1 at node j and 0 at all other nodes. At the last node, the edge of the patch, the
     pressure is zero.
     """
 
@@ -89,21 +93,21 @@ class PressureBasis(EqualByContent):
     @property
     def areas(self) -> np.ndarray:
         """Integrals of the basis functions over the plane [m^2]."""
-        return self._moments(0)
+        return self._integrate_powers(0)
 
     @property
     def distances(self) -> np.ndarray:
-        """Radius [m] at which the gap of a paraboloid is the mean gap of each function.
+        """Radius [m] at which the gap under a paraboloid equals the mean gap over each function.
 
-        The mean is over the function: the square of the radius is the mean of ``r^2``.
+        The square of this radius is the mean of ``r^2`` over the function.
         """
-        return np.asarray(np.sqrt(self._moments(2) / self._moments(0)))
+        return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
     def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return radii and the pressure by which shares (n,) spread a unit force."""
+        """Return the radii and the pressures of a unit force with the shares (n,) of functions."""
         return self.nodes, np.append(shares / self.areas, 0.0)
 
-    def _moments(self, power: int) -> np.ndarray:
+    def _integrate_powers(self, power: int) -> np.ndarray:
         """Return integrals of powers of the radius over each function."""
         x, w = np.polynomial.legendre.leggauss(4)
         a, b = self.nodes[:-1], self.nodes[1:]
@@ -115,10 +119,11 @@ class PressureBasis(EqualByContent):
 
 
 def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
-    """Choose the nodes of a basis on a patch of a radius ``patch`` [m].
+    """Choose the nodes of a basis on a patch with the radius ``patch`` [m].
 
-    The nodes have the distance ``spacing`` [m] near the axis, and a distance in proportion to the
-    radius beyond a fifth of the patch. The functions then have similar shares of a sphere's force.
+    Near the axis, the distance of two nodes is ``spacing`` [m]. Beyond a fifth of the patch, the
+    distance is proportional to the radius, so that the functions have similar shares of a sphere's
+    force.
     """
     nodes = [0.0]
     while (
@@ -131,10 +136,10 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of basis functions in addition to the compliance of their patch.
+    """Compliance of basis functions in addition to the compliance of the whole patch.
 
     ``compliance`` (n, n) [m/N] is the additional compliance, and ``patch`` [m/N] is the compliance
-    of the whole patch.
+    of the patch.
     """
 
     compliance: np.ndarray
@@ -148,21 +153,21 @@ class LocalCompliance(EqualByContent):
 
 
 def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
-    """Compute the compliance of the basis functions on the top of a stack.
+    """Compute the additional compliance of the basis functions on the top of a stack.
 
     The compliance of the whole patch is computed on the coarse mesh.
 
     Raises
     ------
-    SimulationError : the coarse mesh is softer than the graded mesh, which indicates a bad mesh.
+    SimulationError : the coarse mesh is softer than the graded mesh, because a mesh is unsuitable.
     """
     S = compute_surface_compliance(chip, shape)
-    # round stack of the same layers with the same mesh under the patch
+    # round stack with the same layers, and with the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
     coarse = float(
-        _port_compliance(
+        _compute_port_compliance(
             make_undamped_model(*make_stack_setup(Chip(**chip_keys), pressure=pressure)).model
         )[0, 0]
     )
@@ -181,16 +186,16 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
 def compute_surface_compliance(
     chip: Chip, shape: PressureBasis, cells: int = CELLS_PER_NODE
 ) -> np.ndarray:
-    """Mean displacement (n, n) [m] of each function per force [N] on each.
+    """Compute the compliance (n, n) [m/N] between all basis functions.
 
-    The stack is round, as wide as the chip's smaller side, on a roller, and with electrodes at
-    constant voltage.
+    The stack is round, as wide as the chip's smaller side, and stands on a frictionless support.
+    The voltages of the electrodes are constant.
     """
-    return _port_compliance(_model_stack(chip, shape, cells).model)
+    return _compute_port_compliance(_model_stack(chip, shape, cells).model)
 
 
-def _port_compliance(model: LinearModel) -> np.ndarray:
-    """Static displacements (n, n) [m] of the mechanical ports per force [N].
+def _compute_port_compliance(model: LinearModel) -> np.ndarray:
+    """Compute the static compliance (n, n) [m/N] of the mechanical ports.
 
     The mechanical ports are the first ports of the model.
     """
@@ -202,18 +207,22 @@ def _port_compliance(model: LinearModel) -> np.ndarray:
 UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units of the stresses
 
 
-def stresses_under_force(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
-    """Compute stresses under ``force`` (n,) [N] on the basis, on the graded mesh.
+def compute_stresses_under_force(
+    chip: Chip, shape: PressureBasis, force: np.ndarray
+) -> dict[str, float]:
+    """Compute the stresses under the forces ``force`` (n,) [N] of the basis functions.
 
-    The results are values at Gauss points: the largest ``pressure_pa``, and the largest
-    ``shear_pa``, half the difference of principal stresses, with its ``shear_depth_m`` below the
-    top.
+    The stresses are evaluated at Gauss points of the graded mesh. The results are the largest
+    pressure ``pressure_pa``, the largest shear stress ``shear_pa`` (half of the difference of
+    principal stresses), and the depth ``shear_depth_m`` of the shear stress below the top.
     """
     stack = _model_stack(chip, shape, CELLS_PER_NODE)
     probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
-    T, _ = probe.stress(*probe.nodal_values(z[:, None], np.zeros((1, 1))))
-    shear = (largest_principal_stress(T[..., 0]) + largest_principal_stress(-T[..., 0])) / 2
+    T, _ = probe.stress(*probe.compute_nodal_values(z[:, None], np.zeros((1, 1))))
+    shear = (
+        compute_largest_principal_stress(T[..., 0]) + compute_largest_principal_stress(-T[..., 0])
+    ) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return {
         "pressure_pa": float((force / shape.areas).max()),
@@ -223,9 +232,10 @@ def stresses_under_force(chip: Chip, shape: PressureBasis, force: np.ndarray) ->
 
 
 def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
-    """Model the round stack on a roller, with a port for every basis function.
+    """Model the round stack on a frictionless support, with a port for every basis function.
 
-    The quadrilaterals grow away from the functions. Every face of a layer is a line of the mesh.
+    The quadrilaterals are larger at a larger distance from the functions. Every face of a layer is
+    a line of the mesh.
     """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
@@ -246,28 +256,28 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     r, z = solid.places
 
     def grade_level(at: np.ndarray) -> np.ndarray:
-        """Return the nodes at a height."""
+        """Return the nodes at the height of ``at``."""
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
-    ports = _basis_ports(shape)
-    setup = Setup(
+    ports = _make_basis_ports(shape)
+    setup = BoundaryConditions(
         np.column_stack([r < near, z < near]).ravel(),
         {"anode": grade_level(planes[1::2]), "cathode": grade_level(planes[::2])},
         "cathode",
-        shapes=[*map(ForceShape, ports, _basis_load_vectors(solid, shape, top).T)],
+        shapes=[*map(PortLoad, ports, _compute_basis_loads(solid, shape, top).T)],
     )
     return make_undamped_model(solid, setup)
 
 
-def _basis_ports(shape: PressureBasis) -> list[Port]:
+def _make_basis_ports(shape: PressureBasis) -> list[Port]:
     return [Port(f"basis{k}", TRANSLATION.port) for k in range(len(shape.nodes) - 1)]
 
 
-def _basis_load_vectors(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """Nodal loads (2 nodes, n) of unit axial force.
+def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
+    """Return the nodal loads (2 nodes, n) of a unit axial force with each basis function.
 
-    Each basis function distributes the force over the projected facets.
+    The pressure of a basis function acts on the facets, projected on the plane.
     """
     basis = solid.facet_basis(facets, 5)
 
@@ -282,13 +292,13 @@ def _basis_load_vectors(solid: Solid, shape: PressureBasis, facets: np.ndarray) 
 
 
 def _subdivide_intervals(points: np.ndarray, count: int) -> np.ndarray:
-    """Divide every interval between points into ``count`` equal ones."""
+    """Divide every interval between points into ``count`` equal intervals."""
     parts = np.arange(count * (len(points) - 1) + 1) / count
     return np.interp(parts, np.arange(len(points)), points)
 
 
 def _grow_points(start: float, end: float, step: float) -> np.ndarray:
-    """Place points from ``start`` to ``end`` at growing distances from ``step`` on."""
+    """Place points from ``start`` to ``end``; their distances grow, beginning with ``step``."""
     points = [start]
     while points[-1] + 1.5 * (step := CELL_GROWTH * step) < end:
         points.append(points[-1] + step)
@@ -297,18 +307,18 @@ def _grow_points(start: float, end: float, step: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class IndentationLaw:
-    """Force law of a sphere: ``sum_k c_k s^(3 + k)`` [N] at the indentation x [m].
+    """Force of a sphere: ``sum_k c_k s^(3 + k)`` [N] with ``s = sqrt(x / depth)``.
 
-    ``s = sqrt(x / depth)`` is the contact radius divided by its maximum. The first term is
-    Hertz's law, and the others are effects of layers and of the body's size. ``depth`` [m] is the
-    largest indentation of the law.
+    x [m] is the indentation, and ``depth`` [m] is the largest indentation of the law. Thus s is the
+    contact radius divided by its maximum. The first term is Hertz's law, and the other terms are
+    effects of the layers and of the size of the body.
     """
 
     depth: float
     coefficients: tuple[float, ...]
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Compute the force [N] at indentations [m], none of them negative."""
+        """Compute the force [N] at non-negative indentations ``x`` [m]."""
         s = np.sqrt(x / self.depth)
         return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
 
@@ -316,16 +326,17 @@ class IndentationLaw:
 def fit_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray
 ) -> IndentationLaw:
-    """Fit the law of a sphere on basis functions with a ``compliance`` (n, n).
+    """Fit the force law of a sphere on basis functions with a ``compliance`` (n, n).
 
-    Each function has the ``gap`` (n,) [m] below the sphere. Functions come into contact one by one,
-    and their force is n straight lines: it differs from the converged force by up to a quarter of
-    (spacing / contact's radius)^2. The work ``J = int F dx`` is a minimum over all pressures, so
-    its error is of second order in the errors of the pressures. The law is the derivative of the
-    polynomial that fits J, for contacts at least :data:`MIN_FUNCTIONS` functions wide.
+    Between each function and the sphere is a ``gap`` (n,) [m]. Functions come into contact one
+    after another, so that the force consists of n straight lines. It differs from the converged
+    force by up to a quarter of (spacing / contact radius)^2. The work ``J = int F dx`` is a minimum
+    over all pressures, so its error is proportional to the squared errors of the pressures.
+    Therefore, a polynomial is fitted to J, for contacts at least :data:`MIN_FUNCTIONS` functions
+    wide. The law is the derivative of this polynomial.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
-    # Hertz: half of the pressure remains at this radius
+    # in Hertz's solution, the pressure at this radius is half of the largest pressure
     depth = 2 * float(np.interp(widest, shape.distances, gap))
     s = np.linspace(min(0.5, MIN_FUNCTIONS * spacing / widest), 1.0, FIT_DEPTHS)
     x = depth * s**2
@@ -338,11 +349,12 @@ def fit_indentation_law(
 
 
 def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Forces (depths, n) [N] of a sphere, positive only where it touches the surface.
+    """Compute the forces (depths, n) [N] of a sphere on the basis functions.
 
-    With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are the
-    conditions of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this function and a constant
-    are ``|L'f - L^-1 g|^2 / 2``.
+    The forces f are positive only where the sphere touches the surface: with ``g = x - gap``, ``f
+    >= 0``, ``S f >= g`` and ``f'(S f - g) = 0``. These are the conditions of a minimum of ``f'S f /
+    2 - f'g``. With ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2``, apart from a
+    constant.
     """
     from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 
@@ -360,27 +372,27 @@ class TransverselyIsotropicSphere:
     damping: Damping
 
     @property
-    def oblate(self) -> float:
-        """Frequency [Hz] of the lowest mode, which makes the sphere oblong.
+    def oblate_frequency(self) -> float:
+        """Frequency [Hz] of the lowest mode, in which the sphere becomes oblate and prolate.
 
-        The frequency depends on Poisson's ratio by 1 %.
+        Poisson's ratio changes the frequency by at most 1 %.
         """
         sound = np.sqrt(self.material.C[5, 5] / self.material.density)
         return float(OBLATE_FREQUENCY * sound / (2 * np.pi * self.radius))
 
     @property
     def rayleigh(self) -> tuple[float, float]:
-        """Factors ``alpha`` [1/s] and ``beta`` [s] of damping, by the lowest mode."""
-        return self.damping.rayleigh(self.oblate)
+        """Damping factors ``alpha`` [1/s] and ``beta`` [s] for the frequency of the lowest mode."""
+        return self.damping.rayleigh(self.oblate_frequency)
 
 
 def model_sphere(
     body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
-    """Model a free sphere with the port ``patch``, upwards; see the module.
+    """Make the model of a free sphere with the port ``patch``; see the module docstring.
 
-    ``shares`` (n,) are the weights of the basis functions in the port. ``refine`` divides every
-    cell along each axis.
+    The direction of the port is upwards. ``shares`` (n,) are the weights of the basis functions in
+    the port. ``refine`` divides every cell along each axis.
     """
     device, port = _model_free_sphere(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
     facet_load = device.model.B @ shares[:, None]
@@ -394,11 +406,11 @@ def model_sphere(
     return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
 
 
-def sphere_compliance(
+def compute_sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
-    """Compute the compliance of the basis functions on a sphere, and of their patch."""
-    S = _port_compliance(_model_free_sphere(body, shape, refine).model)
+    """Compute the compliance of the basis functions on a sphere, and of the whole patch."""
+    S = _compute_port_compliance(_model_free_sphere(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
@@ -406,7 +418,7 @@ def sphere_compliance(
 def _model_free_sphere(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int
 ) -> FiniteElementModel:
-    """Model the undamped sphere with a port for every function, on a mapped grid."""
+    """Make the undamped model of a sphere with a port for every function, on a mapped grid."""
     radius = body.radius
     x = _extend_angles(np.arcsin(_subdivide_intervals(shape.nodes, CELLS_PER_NODE) / radius))
     y = _extend_angles(np.array([0.0, x[1]]))
@@ -429,7 +441,7 @@ def _model_free_sphere(
     momentum = M @ along
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
-    loads = _basis_load_vectors(solid, shape, np.flatnonzero(under))[unknowns]
+    loads = _compute_basis_loads(solid, shape, np.flatnonzero(under))[unknowns]
     model = with_potentials(
         M=M,
         K_uu=K,
@@ -438,7 +450,7 @@ def _model_free_sphere(
         k_uV=np.zeros((len(unknowns), 0)),
         c_VV=np.zeros((0, 0)),
         B=loads - momentum[:, None] / mass,
-        ports=_basis_ports(shape),
+        ports=_make_basis_ports(shape),
         facts={"unknowns": float(len(unknowns)), "mass_kg": mass},
     )
     moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
@@ -447,7 +459,7 @@ def _model_free_sphere(
 
 
 def _extend_angles(angles: np.ndarray) -> np.ndarray:
-    """Extend ``angles`` [rad] to pi by steps that first grow and then shrink."""
+    """Extend ``angles`` [rad] to pi with steps that first increase and then decrease."""
     result = list(angles)
     while (
         result[-1] + 2 * (step := min(CELL_GROWTH * (result[-1] - result[-2]), MAX_CELL_ANGLE))

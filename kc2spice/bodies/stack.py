@@ -1,14 +1,15 @@
-"""The multilayer piezoelectric stack with ring-shaped contact ports on its top.
+"""Multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
-One quarter of the stack is meshed, because all four quarters move in the same way. The paper uses
-a mapped mesh (2.2.2): with nodes on concentric circles, one force per ring is exact. A *level* is
-one element over the height: one layer, or several layers as one medium if ``layers_per_element``
-allows this. The electrodes determine the field in each layer. Thus m layers in parallel at one
-voltage are one layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
+One quarter of the stack is meshed, because all four quarters move in the same way. As in the paper
+(2.2.2), the nodes are on concentric circles, so that one force per ring is exact. A *level* is one
+element over the height: one layer, or several layers as one medium if ``layers_per_element``
+permits this. The electrodes determine the field in each layer. Therefore, m layers in parallel at
+one voltage equal one layer that is m times as thick, with the coupling ``m e`` and the permittivity
+``m^2 eps``.
 
 Even planes of electrodes are the grounded cathode, and odd planes the anode. The poling of the
-layers alternates, along -z above a cathode, so that a positive anode voltage lengthens every layer.
-Paper 2.2.2 and appendix A.2.
+layers alternates. It is along -z above a cathode, so that a positive voltage at the anode lengthens
+every layer. Source: paper 2.2.2 and appendix A.2.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import UP, ForceShape, Setup, make_device, spread_force
+from kc2spice.bodies.device import UP, BoundaryConditions, PortLoad, make_device, spread_force
 from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Cap, Chip
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
@@ -29,12 +30,12 @@ from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
 
-LEVEL_GROWTH = 0.25  # growth of a level's thickness with its depth
-# bytes per unknown; the fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took
-# 5.8 GB
+LEVEL_GROWTH = 0.25  # largest ratio of a level's thickness to its depth below the top
+# Memory of sparse factors of a solid with n unknowns, divided by n^(4/3) [bytes]; 152 000 unknowns
+# took 5.8 GB.
 SPARSE_BYTES = 700.0
 _POSITION_TOLERANCE = 1e-9  # distance of equal positions, relative to the stack's size
-_PRESSURE_POINTS = 8  # quadrature points per cell, enough for a pressure with kinks inside the cell
+_PRESSURE_POINTS = 8  # quadrature points per cell; the slope of a pressure may jump inside the cell
 
 Profile = tuple[np.ndarray, np.ndarray]
 
@@ -44,21 +45,25 @@ def make_stack(
 ) -> FiniteElementModel:
     """Make the model of the stack with the ports ring0, ring1, ... and the anode.
 
-    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. The supports of the bottom face z =
-    0 depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none
-    if ``free``, or springs along all three axes, each ``mounting`` N/m per m^2. A stack poled
-    along x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist
-    only if a plane of nodes lies inside an active layer.
+    The symmetry conditions are u_x = 0 on x = 0 and u_y = 0 on y = 0. A stack poled along x moves
+    antisymmetrically in x, so that u_y = u_z = 0 on x = 0. The support of the bottom face z = 0
+    depends on ``kick.mounting``:
 
-    The unknowns describe one quarter. The quarters share a force on a whole ring, and each has
-    the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. A ``pressure``
-    replaces the rings by one mechanical port. The pressure is piecewise linear over radii [m], and
-    zero beyond the last radius.
+    * ``roller``: u_z = 0 (no friction),
+    * ``glued``: u = 0,
+    * ``free``: no support,
+    * a number: springs along all three axes with this stiffness [N/m per m^2].
+
+    Free potentials exist only if a plane of nodes lies inside an active layer. The unknowns
+    describe one quarter. A force on a whole ring is divided among the quarters, and each quarter
+    has the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. If a
+    ``pressure`` is given, one mechanical port replaces the rings. The pressure is piecewise linear
+    over radii [m], and zero beyond the last radius.
 
     Raises
     ------
-    UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
-        for the memory.
+    UsageError : rings are larger than the chip, the number of sectors is odd, the material is
+        impossible, or the unknowns need too much memory.
     """
     solid, setup = make_stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
@@ -73,12 +78,12 @@ def make_stack(
 
 def make_stack_setup(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
-) -> tuple[Solid, Setup]:
+) -> tuple[Solid, BoundaryConditions]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
     The quarter is ``0 <= x, y``, ``0 <= z`` with its bottom cap (paper 2.2.2, Fig. 3b). Nodes are
-    numbered plane by plane, in each the centre first, then ring by ring from the x to the y axis.
-    Elements are numbered from the bottom up.
+    numbered plane by plane. In each plane, the centre is first, followed by the nodes of each ring
+    from the x axis to the y axis. Elements are numbered from the bottom to the top.
     """
     steps = kick.mesh.refine * kick.mesh.order
     (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
@@ -97,8 +102,8 @@ def make_stack_setup(
     with name_part_in_errors("kick"):
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
     electrodes, graded = _find_electrodes(spans, heights[::steps], solid)
-    return solid, Setup(
-        _fixed_mask(kick, solid),
+    return solid, BoundaryConditions(
+        _mask_fixed_displacements(kick, solid),
         electrodes,
         "cathode",
         shapes=_make_ring_forces(kick, solid)
@@ -114,7 +119,7 @@ def make_stack_setup(
 def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the active layers of each level, and the heights [m] of all planes of nodes."""
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
-    counts = [cap_layers(kick, cap) for cap in caps]
+    counts = [choose_cap_layers(kick, cap) for cap in caps]
     below, above = (
         np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1)
         for cap, count in zip(caps, counts, strict=True)
@@ -130,9 +135,9 @@ def _make_hexahedra(
 ) -> tuple[MeshHex1, np.ndarray]:
     """Make the mesh of hexahedra, and the numbers of their nodes.
 
-    A box in (ring, spoke, plane) coordinates gives regular hexahedra and their numbering. The nodes
-    of the grid are then moved to their places. The nodes of its face ring = 0 become one node per
-    plane, which collapses these hexahedra into exact wedges.
+    A box with the coordinates (ring, spoke, plane) gives regular hexahedra and their numbering. The
+    nodes of this box are then moved to their positions. All nodes of a plane on the face ring = 0
+    become one node, so that the hexahedra there become exact wedges.
     """
     counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
     box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
@@ -146,7 +151,7 @@ def _make_hexahedra(
 
 
 def choose_level_spans(kick: Chip) -> np.ndarray:
-    """Choose the number of layers in each level, from the bottom up.
+    """Choose the number of layers in each level, from the bottom to the top.
 
     The number is at most ``layers_per_element``, and no level is thicker than :data:`LEVEL_GROWTH`
     times its depth below the top.
@@ -158,10 +163,10 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
     return np.array(spans[::-1])
 
 
-def cap_layers(kick: Chip, cap: Cap | None) -> int:
-    """Choose the layers of cells in a cap.
+def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
+    """Choose the number of layers of cells in a cap.
 
-    The layers are about as thick as an active layer; their number is at most sixteen.
+    The cells are about as thick as an active layer, and their number is at most sixteen.
     """
     if cap is None:
         return 0
@@ -169,10 +174,10 @@ def cap_layers(kick: Chip, cap: Cap | None) -> int:
 
 
 def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
-    """Place the nodes of a plane on a lattice (rings + 1, spokes + 1, 2).
+    """Return the positions (rings + 1, spokes + 1, 2) of the nodes of a plane.
 
-    Row 0 repeats the centre. Nodes divide arcs and straight edges into equal parts. Beyond the
-    last ring the nodes are on straight lines.
+    Row 0 contains only the centre, repeatedly. Nodes divide arcs and straight edges into equal
+    parts. Beyond the last ring, the nodes are on straight lines.
     """
     mesh, half = kick.mesh, kick.half
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
@@ -181,12 +186,12 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     if kick.diameter is None:
         sides = np.interp(along, [0.5, 1.0], [1.0, 0.0]), np.interp(along, [0.0, 0.5], [0.0, 1.0])
         edge = np.column_stack(sides) * half
-    else:  # chords of linear elements enclose the area of the circle
+    else:  # the chords of linear elements enclose the same area as the circle
         angle = np.pi / (2 * mesh.sectors * steps)
         edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
-    # spacing (1 + g + ... + g^(count-1)) = remaining length: no jump at the last ring
+    # spacing (1 + g + ... + g^(count-1)) = remaining length, so that the sizes do not jump
     if ratio > count > 1:
         from scipy.optimize import brentq  # imported here, because most meshes come from the cache
 
@@ -199,9 +204,9 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Make the materials of the levels, and number the material of each level.
+    """Return the materials of the levels, and the index of the material of each level.
 
-    ``spans`` are the numbers of layers of the levels from the bottom up, 0 in a cap.
+    ``spans`` are the numbers of layers in the levels from the bottom to the top, 0 in a cap.
     """
     plain = replace(kick.ceramic, breakdown_field=breakdown)
     poled, active = (
@@ -234,7 +239,7 @@ def make_layer_materials(
     return tuple(materials), owner
 
 
-def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
+def _mask_fixed_displacements(kick: Chip, solid: Solid) -> np.ndarray:
     """Return a mask of the displacements ``3 node + axis`` that symmetry or mounting fixes."""
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
     near = _POSITION_TOLERANCE * solid.places.max()
@@ -251,8 +256,8 @@ def _find_electrodes(
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
     """Find the nodes on the electrodes, and the potentials of nodes between electrodes.
 
-    ``spans`` are the numbers of layers of the levels (0 in a cap) between their ``faces`` [m]. A
-    level of several layers contains electrodes between its nodes.
+    ``spans`` are the numbers of layers in the levels (0 in a cap), and ``faces`` [m] the heights of
+    their lower and upper faces. A level of several layers contains electrodes between its nodes.
     """
     active, z = np.flatnonzero(spans), solid.places[2]
     planes = faces[np.r_[active, active[-1] + 1]]
@@ -267,11 +272,11 @@ def _find_electrodes(
     )
 
 
-def _make_ring_forces(kick: Chip, solid: Solid) -> list[ForceShape]:
-    """Make unit ring forces along z, or along x for a stack poled along x.
+def _make_ring_forces(kick: Chip, solid: Solid) -> list[PortLoad]:
+    """Make unit forces on the rings along z, or along x for a stack poled along x.
 
-    Nodes on a symmetry plane have half of the force, because the other half acts on the mirror
-    image. Weights sum to one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
+    At nodes on a symmetry plane, half of the force acts on the mirror image. The weights of a ring
+    have the sum one, so that the output of its port is the mean displacement (paper 2.2.2, eq. 8).
     """
     shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
     near = _POSITION_TOLERANCE * solid.places.max()
@@ -280,20 +285,20 @@ def _make_ring_forces(kick: Chip, solid: Solid) -> list[ForceShape]:
         ring = (away < near) & (z > z.max() - near)
         share = np.where((x < near) | (y < near), 0.5, 1.0) * ring
         weights = spread_force(share / share.sum(), axis, solid)
-        shapes.append(ForceShape(Port(f"ring{number}", TRANSLATION.port), weights))
+        shapes.append(PortLoad(Port(f"ring{number}", TRANSLATION.port), weights))
     return shapes
 
 
-def _make_patch_force(solid: Solid, pressure: Profile) -> ForceShape:
-    """Return a unit axial force on the top, distributed like the pressure."""
+def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
+    """Return the nodal forces of a unit axial force on the top with the given pressure profile."""
 
     def pressure_load(v, w):  # type: ignore[no-untyped-def]
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(
-        solid.facet_basis(_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
+        solid.facet_basis(_find_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
     )
-    return ForceShape(
+    return PortLoad(
         Port(PATCH_PORT, TRANSLATION.port), spread_force(share / share.sum(), UP, solid)
     )
 
@@ -305,8 +310,8 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     """
 
     def face_stiffness(height: float) -> sparse.csc_array:
-        """``int N_i N_j dA`` over the face at a height."""
-        basis = solid.facet_basis(_facets(solid, height), solid.quadrature + 1)
+        """Return ``int N_i N_j dA`` over the face at a height."""
+        basis = solid.facet_basis(_find_facets(solid, height), solid.quadrature + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
 
@@ -320,7 +325,7 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     return sparse.csc_array(sum(result)) if result else None
 
 
-def _facets(solid: Solid, height: float) -> np.ndarray:
+def _find_facets(solid: Solid, height: float) -> np.ndarray:
     """Return the facets of a face at a height."""
     near = _POSITION_TOLERANCE * solid.places.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

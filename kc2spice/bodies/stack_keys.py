@@ -1,4 +1,4 @@
-"""Keys of the layered chip: mesh, damping, geometry (paper 2.1, 2.2.2, A.2)."""
+"""Keys of the multilayer chip: mesh, damping and geometry (paper 2.1, 2.2.2, A.2)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
 class ChipMesh(Section):
     """In-plane polar mesh of a stack.
 
-    ``refine`` divides every edge of a cell, also along the height, into this number of edges.
+    ``refine`` is the number of equal parts into which every edge of a cell is divided, also along
+    the height.
     """
 
     refine: Count = Field(
@@ -76,7 +77,7 @@ class ChipMesh(Section):
 class ChipDamping(Damping):
     """Damping of the chip.
 
-    The ratio holds at the frequency ``at``, by default a frequency of the paper's chip.
+    The damping ratio applies at the frequency ``at``, by default a frequency of the paper's chip.
     """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
@@ -93,7 +94,7 @@ class ChipDamping(Damping):
 class Cap(Section):
     """Layer without electric field at one end of a stack.
 
-    By default the layer consists of the ceramic of the stack without poling.
+    By default, the layer consists of the unpoled ceramic of the stack.
     """
 
     thickness: Thickness = Field(gt=0, description="Thickness of the inactive layer")
@@ -108,8 +109,8 @@ class Cap(Section):
 DEFAULT_HEIGHT = 2e-3  # m, height of the stack in the paper
 
 
-def _default_height(keys: dict[str, Any]) -> float:
-    """Height [m] of all active layers, from the thickness of one layer if stated."""
+def _compute_default_height(keys: dict[str, Any]) -> float:
+    """Return the height [m] of all active layers, from the thickness of one layer if given."""
     layers, thickness = keys.get("layers"), keys.get("layer_thickness")
     return DEFAULT_HEIGHT if layers is None or thickness is None else float(layers * thickness)
 
@@ -117,10 +118,11 @@ def _default_height(keys: dict[str, Any]) -> float:
 class Chip(Section):
     """Keys of the layered piezoelectric stack, of which one quarter is modelled.
 
-    Its cross-section is a square of ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a
-    circle of ``diameter``. ``height`` is the height of the active layers: ``layers`` times
-    ``layer_thickness`` if this is stated. Poled along z, the axis of the field, the stack becomes
-    longer. Poled along x it shears, and the rings move along x.
+    The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
+    times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the height of the active
+    layers. If ``layer_thickness`` is given, the height is ``layers`` times ``layer_thickness``. The
+    electric field is along z. If the stack is poled along z, it becomes longer. If the stack is
+    poled along x, it shears, and the rings move along x.
     """
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular chip")
@@ -135,7 +137,7 @@ class Chip(Section):
         None, gt=0, description="Thickness of one layer; cannot be combined with height"
     )
     height: Extent = Field(
-        default_factory=_default_height,
+        default_factory=_compute_default_height,
         gt=0,
         description="Total height of all layers",
     )
@@ -162,7 +164,7 @@ class Chip(Section):
     )
 
     @model_validator(mode="after")
-    def _require_consistent(self) -> Chip:
+    def _require_consistent_keys(self) -> Chip:
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
             raise invalid_value_error(
                 "the size of the chip is missing: write diameter, or side and depth",
@@ -215,7 +217,7 @@ class Chip(Section):
 
     @property
     def half(self) -> tuple[float, float]:
-        """Half the extent [m] along x and y."""
+        """Half of the stack's size [m] along x and y."""
         if self.diameter is not None:
             return self.diameter / 2, self.diameter / 2
         return self.side / 2, (self.side if self.depth is None else self.depth) / 2

@@ -1,6 +1,6 @@
 """Finite-element models of bodies, and their responses without damping.
 
-The responses are capacitances, strokes and the lowest resonances.
+The computed values are capacitances, strokes and the lowest resonances.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from kc2spice.core.domains import ACOUSTIC, TRANSLATION
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
-MODE_RESIDUAL = 1e-5  # largest residual of a mode; the error of its frequency is the square
-# numbers of modes, tried in this order; an unsupported body has up to six rigid-body modes
+MODE_RESIDUAL = 1e-5  # largest residual of a mode; the frequency error is the squared residual
+# Numbers of computed modes, tried one after another. An unsupported body has up to six rigid-body
+# modes.
 MODE_COUNTS = (4, 8, 40)
 # Smallest share of the static response (mass norm) in a mode that a port excites.
 MIN_MODE_SHARE = 0.03
@@ -27,12 +28,12 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class FiniteElementModel:
-    """Linear model of a solid with the fields at its nodes.
+    """Linear model of a solid, and the conversion of its unknowns to values at the nodes.
 
-    The unknowns z and voltages V give ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p
-    + drive @ V`` (nodes,) with ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K +
-    shift M`` regular. ``mass`` [kg] is the mass of all nodes, also of fixed ones. ``faces``
-    contains the facets of acoustic ports.
+    For the unknowns z and the voltages V, the displacements are ``u = displacement @ z`` (d
+    nodes,), and the potentials are ``phi = potential @ p + drive @ V`` (nodes,) with ``K_pp p =
+    K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular. ``mass`` [kg] is the
+    mass of the whole body, including fixed nodes. ``faces`` contains the facets of acoustic ports.
     """
 
     model: LinearModel
@@ -45,10 +46,12 @@ class FiniteElementModel:
     mass: float
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_nodal_values(
+        self, z: np.ndarray, voltages: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.
 
-        The columns belong to z (n, k) and to voltages (e, k).
+        Each column of the result is for a column of z (n, k) and of the voltages (e, k).
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
@@ -61,11 +64,12 @@ class FiniteElementModel:
 class UndampedResponses:
     """Responses of a model without damping.
 
-    Attributes are displacements (n, …). ``static`` is the response to 1 V at each electrical port.
-    ``pushed`` (n, 1) is the response to 1 N at the first mechanical port, (n, 0) if none exists.
-    ``modes`` are the lowest modes with shorted electrical ports that these loads excite; a body
-    without electrical ports has its lowest modes here. ``rigid`` are rigid-body modes. ``facts``
-    are numbers by name. ``solve`` applies the inverse of the shifted stiffness.
+    The responses are unknowns (n, …) of the model. ``static`` are the responses to 1 V at each
+    electrical port. ``pushed`` (n, 1) is the response to 1 N at the first mechanical port; without
+    such a port, it is (n, 0). ``modes`` are the lowest modes that these loads excite, with shorted
+    electrical ports. Without electrical ports, ``modes`` are the lowest modes of the body.
+    ``rigid`` are rigid-body modes. ``facts`` maps names to characteristic numbers. The function
+    ``solve`` multiplies by the inverse of the shifted stiffness.
     """
 
     facts: dict[str, float]
@@ -79,17 +83,18 @@ class UndampedResponses:
 def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> UndampedResponses:
     """Compute static responses and the lowest resonances without damping.
 
-    The facts are
+    The facts are:
 
-    * the capacitances of electrical ports, each with the other ports shorted; names of ports other
-      than the first are in the key,
-    * the stroke per volt of the first mechanical port, under its name,
-    * the lowest resonances that the electrical ports excite, with all electrodes shorted and with
-      all open. In a body without electrical ports, the other ports excite the modes, and acoustic
-      ports only if there are no others.
+    * the capacitance of each electrical port with the other ports shorted. The name of the fact
+      contains the name of the port, except for the first port.
+    * the stroke per volt of the first mechanical port. The name of the fact contains the name of
+      the port.
+    * the lowest resonances that the electrical ports excite, with all electrodes shorted, and with
+      all electrodes open. If there are no electrical ports, all ports except acoustic ports excite
+      the modes. If all ports are acoustic, they excite the modes.
 
     ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. Resonances
-    beyond the lowest modes are left out.
+    above the lowest modes are omitted.
     """
     e = [k for k, port in enumerate(model.ports) if port.electrical]
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
@@ -107,7 +112,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
     def solve_with_open_electrodes(f: np.ndarray) -> np.ndarray:
-        """Apply ``(K + b C0^-1 b')^-1``: open electrodes float to ``V = -C0^-1 b'u``."""
+        """Multiply by ``(K + b C0^-1 b')^-1``; the voltages of open electrodes are -C0^-1 b'u."""
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 
@@ -130,11 +135,11 @@ def _solve_static(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute displacements (n, ports) under a constant unit load at each port.
 
-    The results are the responses with and without the shift.
+    The first result is for the shifted stiffness, and the second result for K.
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
-    # the loads are in equilibrium, so that the result is exact for a small shift
+    # the loads are in equilibrium, so the iteration converges to the response without the shift
     for _ in range(MAX_REFINEMENTS if shift else 0):
         rest = solve(load + shift * (model.M @ rest)) if ports else load
     return shifted, rest
@@ -145,9 +150,9 @@ def _find_resonance(
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
     """Find the lowest resonance [Hz] that the ports excite, and the modes.
 
-    The frequency is None if it is not among the lowest modes. The other results are the modes (n,
-    …) that the ports excite, and the rigid-body modes. The Lanczos method starts from the static
-    responses and therefore stays with modes that the ports excite.
+    If none of the lowest modes is excited, the frequency is None. The other results are the modes
+    (n, …) that the ports excite, and the rigid-body modes. The Lanczos method starts from the
+    static responses, so that it finds only modes that the ports excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)

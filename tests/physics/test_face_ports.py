@@ -5,7 +5,16 @@ import math
 import gmsh
 import numpy as np
 import pytest
-from support import Block, BodyKeys, BondedBlocks, UsageError, device, disc, material, outer_faces
+from support import (
+    Block,
+    BodyKeys,
+    BondedBlocks,
+    UsageError,
+    device,
+    disc,
+    list_outer_faces,
+    material,
+)
 
 import kc2spice as kc
 
@@ -38,7 +47,7 @@ def test_a_clamped_plate_yields_the_volume_of_the_closed_form_and_converges():
         plate = BondedBlocks(
             [Block(PLATE, ALUMINIUM)],
             fixed=[("xz", ((RADIUS, RADIUS), (0.0, THICKNESS)))],
-            faces=outer_faces(PLATE),
+            faces=list_outer_faces(PLATE),
             size=RADIUS / 20,
             refine=refine,
         )
@@ -63,7 +72,7 @@ def test_a_clamped_plate_yields_the_volume_of_the_closed_form_and_converges():
 def test_a_free_block_moves_as_a_rigid_body(box, area):
     """At low frequencies, V = A x with x = -A p / (m omega^2)."""
     size = max(high for _, high in box) / 6
-    block = BondedBlocks([Block(box, ALUMINIUM)], faces=outer_faces(box), size=size)
+    block = BondedBlocks([Block(box, ALUMINIUM)], faces=list_outer_faces(box), size=size)
     hertz, thickness = 100.0, box[-1][1]
     per_mass = area**2 / (ALUMINIUM.density * area * thickness * (2 * math.pi * hertz) ** 2)
     front, back = static_response(block.device().model, hertz)
@@ -134,7 +143,7 @@ def test_a_face_of_a_mesh_is_that_of_the_same_disc(tmp_path):
     blocks = BondedBlocks(
         [Block(box, ALUMINIUM)],
         fixed=[("xz", ((10e-3, 10e-3), (0.0, 1e-3)))],
-        faces=outer_faces(box),
+        faces=list_outer_faces(box),
         size=0.5e-3,
     )
     assert body == pytest.approx(static_response(blocks.device().model), rel=3e-3)

@@ -8,14 +8,15 @@ from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 from support import (
     OBLIQUE_SHIFT,
+    BoundaryConditions,
     Chip,
     Damping,
     FieldProbe,
-    ForceShape,
     Port,
-    Setup,
+    PortLoad,
     Solid,
     UsageError,
+    compute_largest_principal_stress,
     compute_lowest_modes,
     compute_node_shares,
     disc,
@@ -24,7 +25,6 @@ from support import (
     evaluate_at_nodes,
     find_extremes,
     langevin,
-    largest_principal_stress,
     load_scene,
     make_device,
     make_stack,
@@ -57,19 +57,19 @@ def pulled(solid, damping=None):
     fixed[np.all(x < 1e-9, axis=0)] = True
     fixed[(x[0] < 1e-9) & (x[1] < 1e-9), 1] = True
     end = solid.mesh.facets_satisfying(lambda p: p[0] > SIZE[0] - 1e-9)
-    pull = ForceShape(
+    pull = PortLoad(
         Port("pull", "mechanical"),
         spread_force(compute_node_shares(solid, facets=end), np.eye(3)[0], solid),
     )
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
-    return make_device(solid, Setup(
+    return make_device(solid, BoundaryConditions(
         fixed.ravel(), electrodes, "cathode", shapes=[pull],
         damping=damping or Damping(ratio=0.02),
     ))  # fmt: skip
 
 
 def at_points(probe, z, voltages):
-    T, E = probe.stress(*probe.nodal_values(z[:, None], voltages[:, None]))
+    T, E = probe.stress(*probe.compute_nodal_values(z[:, None], voltages[:, None]))
     return T[..., 0], E[..., 0]
 
 
@@ -194,8 +194,10 @@ def test_a_free_body_falls_by_newtons_law():
     everywhere = spread_force(
         compute_node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
     )
-    push = ForceShape(Port("push", "mechanical"), everywhere)
-    device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
+    push = PortLoad(Port("push", "mechanical"), everywhere)
+    device = make_device(
+        solid, BoundaryConditions(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6))
+    )
     time = np.linspace(0, 1e-3, 50)
     force = np.where(time > 0, 1e-3, 0.0)
     found = outputs(recover_motion(device, time, {"push": force}))[-1, 0]
@@ -211,9 +213,9 @@ def test_largest_principal_stress_is_the_largest_eigenvalue():
     voigt[:3] = [[0] * 6, [1, 1, 1, 0, 0, 0], [-2, -2, -2, 0, 0, 1e-9]]
     place = [[0, 5, 4], [5, 1, 3], [4, 3, 2]]
     wanted = np.linalg.eigvalsh(voigt[:, place])[:, -1]
-    assert largest_principal_stress(voigt) == pytest.approx(wanted, abs=1e-7)
+    assert compute_largest_principal_stress(voigt) == pytest.approx(wanted, abs=1e-7)
     tiny = 1e-200  # whose cube is no number any more
-    assert largest_principal_stress(tiny * voigt[3:]) == pytest.approx(
+    assert compute_largest_principal_stress(tiny * voigt[3:]) == pytest.approx(
         tiny * wanted[3:], rel=1e-7, abs=0
     )
 
@@ -232,7 +234,7 @@ def test_another_reader_reads_the_same_file_content(tmp_path, kind, cell):
         fixed[solid.basis(1).doflocs[0] < 1e-9, 0] = True
         electrodes = {"anode": np.flatnonzero(heights > 0.5e-3 - 1e-9),
                       "cathode": np.flatnonzero(heights < 1e-9)}  # fmt: skip
-        device = make_device(solid, Setup(fixed.ravel(), electrodes, "cathode"))
+        device = make_device(solid, BoundaryConditions(fixed.ravel(), electrodes, "cathode"))
     else:
         device = pulled(plate(kind))
     n = device.model.order

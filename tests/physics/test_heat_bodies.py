@@ -20,7 +20,7 @@ from skfem.mesh import MeshHex, MeshLine, MeshQuad, MeshTri
 from support import (
     Declaration,
     DeclaredPart,
-    HeatSetup,
+    HeatBoundaryConditions,
     HeatSolid,
     Port,
     Solid,
@@ -404,13 +404,13 @@ def test_the_mesh_error_of_a_resistance_is_that_of_a_finer_mesh(isothermal):
     for cells in (8, 64):
         solid, bottom, top = cylinder(cells, COPPER)
         port = Port("disc", "thermal")
-        setup = HeatSetup(fixed=find_face_nodes(solid.geometry, bottom))
+        setup = HeatBoundaryConditions(fixed=find_face_nodes(solid.geometry, bottom))
         if isothermal:
             nodes = find_face_nodes(solid.geometry, top)
-            setup = HeatSetup(fixed=setup.fixed, isothermal=[(port, nodes)])
+            setup = HeatBoundaryConditions(fixed=setup.fixed, isothermal=[(port, nodes)])
         else:
             shares = compute_node_shares(solid.geometry, facets=top)
-            setup = HeatSetup(fixed=setup.fixed, sources=[(port, shares)])
+            setup = HeatBoundaryConditions(fixed=setup.fixed, sources=[(port, shares)])
         values.append(make_heat_model(solid, setup).model.facts)
     coarse, fine = values
     name = "thermal_resistance_disc_k_per_w"
@@ -440,8 +440,8 @@ def test_a_point_has_no_resistance_and_no_mesh_error():
     fixed = find_face_nodes(solid.geometry, bottom)
     disc = Port("disc", "thermal"), compute_node_shares(solid.geometry, facets=top)
     spot = Port("spot", "thermal"), np.eye(solid.count)[-1]
-    alone = make_heat_model(solid, HeatSetup(fixed=fixed, sources=[disc])).model.facts
-    setup = HeatSetup(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))
+    alone = make_heat_model(solid, HeatBoundaryConditions(fixed=fixed, sources=[disc])).model.facts
+    setup = HeatBoundaryConditions(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))
     assert make_heat_model(solid, setup).model.facts == pytest.approx(alone, rel=1e-12)
 
 
@@ -569,8 +569,8 @@ def test_the_file_of_temperatures_holds_right_handed_hexahedra(tmp_path):
     geometry = Solid(MeshHex.init_tensor(side, side, side), (), np.zeros(8, int))
     solid = HeatSolid(geometry, (COPPER,))
     bottom = geometry.mesh.facets_satisfying(lambda p: p[2] < 1e-9)
-    heat = make_heat_model(solid, HeatSetup(sources=[(Port("in", "thermal"), np.ones(125) / 125)],
-                                            fixed=find_face_nodes(geometry, bottom)))  # fmt: skip
+    source, fixed = (Port("in", "thermal"), np.ones(125) / 125), find_face_nodes(geometry, bottom)
+    heat = make_heat_model(solid, HeatBoundaryConditions(sources=[source], fixed=fixed))
     write_temperatures(tmp_path / "a.vtu", heat, 300.0 * geometry.places[2])
     found = meshio.read(tmp_path / "a.vtu")
     (block,) = found.cells
@@ -620,7 +620,9 @@ def cooled_line():
     geometry = Solid(MeshLine(np.linspace(0.0, 0.05, 9)), (), np.zeros(8, int))
     heights = geometry.places[0]
     top = np.asarray(heights == heights.max(), float)
-    setup = HeatSetup(fixed=np.flatnonzero(heights == 0), sources=[(Port("face", "thermal"), top)])
+    setup = HeatBoundaryConditions(
+        fixed=np.flatnonzero(heights == 0), sources=[(Port("face", "thermal"), top)]
+    )
     return make_heat_model(HeatSolid(geometry, (COPPER,), np.ones(8)), setup), heights
 
 

@@ -234,7 +234,9 @@ def test_energy_of_solutions_is_that_of_the_model():
     made = beam(**layers(("brass", 0.2), (PZT, 0.22)), length=4e-3, width=4e-3)(1, None)
     answers = compute_undamped_responses(made.model)
     z = np.hstack([answers.modes[:, :1], answers.static])
-    products = compute_energy_products(made.solid, *made.nodal_values(z, np.array([[0.0, 1.0]])))
+    products = compute_energy_products(
+        made.solid, *made.compute_nodal_values(z, np.array([[0.0, 1.0]]))
+    )
     omega = 2 * np.pi * made.model.facts["resonance_short_hz"]
     mass = answers.modes[:, 0] @ made.model.M @ answers.modes[:, 0]
     assert products.solution[0, 0] == pytest.approx(omega**2 * mass, rel=1e-6)

@@ -18,6 +18,7 @@ from support import (
     choose_pressure_basis,
     compare_rings,
     compute_catch_table,
+    compute_sphere_compliance,
     compute_test_forces,
     count_compared_positions,
     describe_plan,
@@ -30,7 +31,6 @@ from support import (
     model_values,
     moving_conductor,
     read_rom,
-    sphere_compliance,
     write_rom,
 )
 
@@ -190,7 +190,7 @@ def test_an_elastic_sphere_states_its_mesh():
         TransverselyIsotropicSphere(1e-3, material("steel"), Damping(ratio=1e-3)),
         choose_pressure_basis(20e-6, 2e-4),
     )
-    shares = sphere_compliance(body, shape).shares
+    shares = compute_sphere_compliance(body, shape).shares
     coarse, fine = (model_sphere(body, shares, shape, refine) for refine in (1, 2))
     soft = [m.B[:, 0] @ m.pencil.pencil_solver(0.0).solve(m.B[:, 0]) for m in (coarse, fine)]
     errors = {

@@ -18,12 +18,12 @@ from support import (
     Waveforms,
     choose_pressure_basis,
     compute_local_compliance,
+    compute_stresses_under_force,
     compute_surface_compliance,
     fit_indentation_law,
     load_scene,
     material,
     solve_contact_forces,
-    stresses_under_force,
 )
 
 from bench.usual.contact import sphere_gap
@@ -109,7 +109,7 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)
     depth, nu = 6e-6, 0.291
-    found = stresses_under_force(
+    found = compute_stresses_under_force(
         Chip(material=steel()), shape, solve_contact_forces(S, gap, np.array([depth]))[0]
     )
     a = np.sqrt(R * depth)

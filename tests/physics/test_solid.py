@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 from support import (
+    BoundaryConditions,
     Damping,
-    ForceShape,
     Port,
-    Setup,
+    PortLoad,
     Solid,
     UsageError,
     assemble_solid,
@@ -93,14 +93,15 @@ def test_patch_of_anisotropic_piezoelectric(kind):
 def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
     L, w, h = 0.1, 2e-3, 2e-3
     solid = box((L, w, h), (40, 2, 2), SLENDER)
-    tip = ForceShape(
+    tip = PortLoad(
         Port("tip", "mechanical"),
         spread_force(compute_node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
     )
     base = Port("base", "acceleration")
     fixed = make_fixed_mask(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
     model = make_device(
-        solid, Setup(fixed, shapes=[tip], base=[(base, np.eye(3)[2])], damping=UNDAMPED)
+        solid,
+        BoundaryConditions(fixed, shapes=[tip], base=[(base, np.eye(3)[2])], damping=UNDAMPED),
     ).model
     EI, line = 200e9 * w * h**3 / 12, 7800 * w * h
     found = model.transfer(np.zeros(1))[0].real
@@ -114,7 +115,7 @@ def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
 def test_free_rod_poled_along_its_length_has_the_resonances_of_k33():
     L, w = 20e-3, 1e-3
     solid = box((w, w, L), (1, 1, 24), PZT)
-    model = make_device(solid, Setup(
+    model = make_device(solid, BoundaryConditions(
         make_fixed_mask(solid),
         {"anode": plane(solid, 2, L), "cathode": plane(solid, 2, 0.0)},
         "cathode",
@@ -147,11 +148,12 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         far = spread_force(
             compute_node_shares(solid, facets=end(solid, axis, L)), np.eye(3)[axis], solid
         )
-        pull = ForceShape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
-        squeeze = ForceShape(Port("push", "mechanical"), far)
+        pull = PortLoad(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
+        squeeze = PortLoad(Port("push", "mechanical"), far)
         fixed = make_fixed_mask(solid, *sides)
         model = make_device(
-            solid, Setup(fixed, shapes=[squeeze, pull], damping=Damping(ratio=0, at=1e5))
+            solid,
+            BoundaryConditions(fixed, shapes=[squeeze, pull], damping=Damping(ratio=0, at=1e5)),
         ).model
         frequencies = np.sort(np.abs(model.select(["pull"]).poles().imag))
         first = frequencies[frequencies > 1e3][0] / (2 * np.pi)

@@ -5,10 +5,10 @@ import pytest
 from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 from support import (
+    BoundaryConditions,
     Chip,
-    ForceShape,
     Port,
-    Setup,
+    PortLoad,
     Solid,
     UsageError,
     compute_node_shares,
@@ -115,8 +115,8 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
     top = compute_node_shares(solid, facets=mesh.facets_satisfying(lambda p: p[2] > height - 1e-9))
     pins = {"anode": np.flatnonzero(abs(z - height / 2) < 1e-9),
             "cathode": np.flatnonzero((z < 1e-9) | (z > height - 1e-9))}  # fmt: skip
-    shape = ForceShape(Port("top", "mechanical"), spread_force(top, np.array([1.0, 0, 0]), solid))
-    setup = Setup(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
+    shape = PortLoad(Port("top", "mechanical"), spread_force(top, np.array([1.0, 0, 0]), solid))
+    setup = BoundaryConditions(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
                   shapes=[shape])  # fmt: skip
     other = make_device(solid, setup).model.facts
     ours = stack(

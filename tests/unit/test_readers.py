@@ -11,7 +11,7 @@ from support import (
     MissingToolError,
     UsageError,
     import_optional,
-    mesh_extent,
+    measure_mesh_extent,
     read_model,
     read_sidecar,
 )
@@ -413,7 +413,7 @@ def labelled(tmp_path):
 
 def test_reports_draw_the_size_of_the_mesh(labelled, tmp_path):
     labelled('mesh="mesh.inp"\nlength="mm"\n' + TIP)
-    np.testing.assert_allclose(mesh_extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
+    np.testing.assert_allclose(measure_mesh_extent(tmp_path / "m.npz", None), [20e-3, 1.5e-3, 0.0])
 
 
 def test_port_over_a_node_set_is_the_mean_along_the_axis(labelled):

@@ -1,4 +1,4 @@
-"""Readers of matrices of other programs, as linear models with ports."""
+"""Readers that convert matrices of other programs to linear models with ports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kc2spice.bodies.readers import codes, raw
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import Rows, assemble_model
 from kc2spice.bodies.readers.mesh import read_nodes
-from kc2spice.bodies.readers.parameters import default_values, make_term, model_parameter
+from kc2spice.bodies.readers.parameters import get_default_values, make_model_parameter, make_term
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
@@ -37,9 +37,10 @@ SIDECAR_KEYS = _sidecar.__doc__ or ""
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:
     """Read the matrices of another program as a linear model with ports.
 
-    Second order ``M x'' + E x' + K x = B u``, ``y = C x + D u``; first order ``E x' = A x + B u``;
-    heat ``E x' + K x = B u`` (E and K without M and A). Missing E is zero (second order) or one
-    (first order), a missing C is ``B'``, a missing D zero. A complex K contains structural damping.
+    The model is a second-order model ``M x'' + E x' + K x = B u``, ``y = C x + D u``, a first-order
+    model ``E x' = A x + B u``, or a heat model ``E x' + K x = B u`` (without M and A). A missing E
+    is zero in a second-order model, and the unit matrix in a first-order model. A missing C is
+    ``B'``, and a missing D is zero. A complex K contains structural damping.
 
     Parameters
     ----------
@@ -47,20 +48,21 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
         Any file of the model, or a TOML file with ``files``. :data:`FORMATS` lists the formats.
     sidecar : Path or str, optional
         TOML file that names the ports; :mod:`kc2spice.bodies.readers.sidecar` lists its keys. The
-        default is ``NAME.toml`` beside the model, if that exists.
+        default is ``NAME.toml`` beside the model, if this file exists.
 
     Returns
     -------
     LinearModel
-        Model in SI units. The TOML file defines the ports. Without it, all ports are signals.
-        Parameters of the TOML file have their default values; :func:`read_affine_model` returns a
-        model with parameters.
+        Model in SI units. The TOML file defines the ports. Without a TOML file, all ports are
+        signals. Parameters of the TOML file have their default values; :func:`read_affine_model`
+        returns a model with parameters.
 
     Raises
     ------
-    UsageError : the model does not exist; a file is damaged, too large, half stored, or not real
-        and finite; or matrices or ports do not match. The message names the file, the key, the
-        faulty input and the expected input.
+    UsageError : the model does not exist; a file is damaged or too large; a matrix is incomplete,
+    or
+        contains numbers that are not real and finite; or matrices or ports do not match. The
+        message names the file, the key, the wrong input and the expected input.
     MissingToolError : the format needs a package that is not installed; the message names it.
 
     Examples
@@ -81,14 +83,14 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
 
 def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
-    """Read matrices that depend on parameters; None if the TOML file names no parameters.
+    """Read matrices that depend on parameters; None if the TOML file contains no parameters.
 
     Parameters
     ----------
     path : Path or str
-        As for :func:`read_model`.
+        Path of the model, see :func:`read_model`.
     sidecar : Path or str, optional
-        TOML file with the tables ``parameters`` and ``terms``, as for :func:`read_model`.
+        TOML file with the tables ``parameters`` and ``terms``, see :func:`read_model`.
 
     Returns
     -------
@@ -97,11 +99,12 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
 
     Raises
     ------
-    UsageError : see :func:`read_model`; or a factor is not an expression of the parameters.
+    UsageError : the errors of :func:`read_model`; or a factor is not an expression of the
+        parameters.
 
     Examples
     --------
-    A mass of 10 g on a spring of 100 N/m whose stiffness is a parameter.
+    A mass of 10 g is on a spring of 100 N/m, whose stiffness is multiplied by a parameter squared.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -126,18 +129,18 @@ def read_any_model(
     :func:`read_model`."""
     rows, terms = _read_rows(path, sidecar)
     settings = rows.sidecar
-    model = _assemble_at(rows, terms, default_values(settings))
+    model = _assemble_at(rows, terms, get_default_values(settings))
     if not settings.parameters:
         return model
     return AffineModel(
         model,
-        parameters=[model_parameter(settings, name) for name in settings.parameters],
+        parameters=[make_model_parameter(settings, name) for name in settings.parameters],
         assemble=lambda values: _assemble_at(rows, terms, values),
     )
 
 
 def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
-    """Return the full-order model at these parameter values, with each matrix summed from terms."""
+    """Return the full-order model for these parameter values; its matrices are sums of terms."""
     return assemble_model(replace(rows, matrices=sum_affine_terms(rows.matrices, terms, values)))
 
 
@@ -153,7 +156,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         )
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
-        raw.require_file(path)  # this call raises the error of a missing file
+        raw.require_file(path)  # this call raises the error for a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError(
@@ -185,11 +188,11 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
 
 
 def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
-    """Read the matrix of a term; None for the matrix of the model.
+    """Read the matrix of a term, None if the term uses the matrix of the model.
 
     Raises
     ------
-    UsageError : a file cannot be used, or its rows are not the rows of the model.
+    UsageError : a file cannot be used, or the rows of the matrix differ from those of the model.
     """
     if entry.file is None and entry.name is None:
         return None
@@ -218,14 +221,14 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     return raw.require_matrix(term.matrices[letter], letter, file)
 
 
-def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
+def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     """Measure the size (3,) [m] of the mesh that the TOML file names.
 
     The result is None if the file names no mesh.
 
     Raises
     ------
-    UsageError : a sidecar or a mesh that is wrong.
+    UsageError : the sidecar or the mesh contains an error.
     """
     *_, settings = locate_model(path, sidecar)
     if settings.mesh is None:
@@ -246,8 +249,8 @@ _ARRAYS_EXPECTED = (
 )
 _JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
-# Formats of one file with all matrices, by suffix: description and reader. The reader receives the
-# names of the matrices in the sidecar.
+# Description and reader of each format that contains all matrices in one file, keyed by suffix. The
+# reader receives the names of the matrices that the sidecar states.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS_EXPECTED, raw.read_matrix_archive),
     ".mat": (_MATLAB_EXPECTED, raw.make_unpacker(raw.unpack_matlab)),
@@ -261,12 +264,12 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] 
 }
 
 
-def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
-    """List the existing files of a model, by its name and by its TOML file.
+def list_source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
+    """List the existing files that belong to a model by their names or by its TOML file.
 
     Raises
     ------
-    UsageError : a sidecar that is wrong.
+    UsageError : the sidecar contains an error.
     """
     base, files, selected, settings = locate_model(path, sidecar)
     paths = [
@@ -283,13 +286,13 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
 
 
 def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
-    """Return model path, matrix files, TOML file and content of the TOML file.
+    """Return the path of a model, its matrix files, its TOML file and the content of this file.
 
-    The TOML file need not exist unless ``sidecar`` names it.
+    The TOML file may be missing, unless ``sidecar`` is its path.
 
     Raises
     ------
-    UsageError : a sidecar that is wrong.
+    UsageError : the sidecar contains an error.
     """
     base, files = _find_files(path)
     default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
@@ -299,7 +302,7 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
 
 
 def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
-    """Find the path of a model without suffixes, and its files of one matrix each."""
+    """Find the path of a model without suffixes, and its files that contain one matrix each."""
     job = codes.find_matrix_files(path)
     if job:
         match = codes.ABAQUS_NAME.fullmatch(path.name)
@@ -340,7 +343,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
 
 
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
-    """Read the raw matrices of a model."""
+    """Read the matrices of a model as the files contain them."""
     suffix = path.suffix.lower()
     if files:
         return _read_matrices(files)
@@ -412,7 +415,7 @@ def _read_head(path: Path) -> bytes:
 
 
 def _parse_rows(data: bytes) -> raw.Dofs:
-    """Parse lines of node and number of its degree of freedom, one line for each row."""
+    """Parse lines that contain a node and a degree of freedom, one line for each matrix row."""
     values = parse_numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"expected an even number of values (node, dof), got {values.size}")

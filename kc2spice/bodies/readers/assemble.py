@@ -1,4 +1,4 @@
-"""Assembly of a linear model with ports from raw matrices and a sidecar."""
+"""Assembly of a linear model with ports from the matrices in files and a sidecar."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import LinearModel, Port, stores_one_triangle, with_potentials
 from kc2spice.rom.pencil import Matrix
 
-# imaginary part of a row that is rounding error, relative to the real part
+# largest imaginary part of a row that is a rounding error, relative to the real part
 IMAGINARY_ROUNDING = 1e-12
 
 
 def assemble_model(rows: Rows) -> LinearModel:
-    """Assemble the model of ``rows`` in SI with the ports of its sidecar.
+    """Assemble the model of ``rows`` in SI units with the ports of its sidecar.
 
     Raises
     ------
-    UsageError : matrices are missing, superfluous, zero, half stored or of incompatible shape, or a
-    degree of freedom or node does not exist; the message contains file and key.
+    UsageError : a matrix is missing, superfluous, zero, incomplete or of the wrong shape; or a
+        degree of freedom or node does not exist. The message contains file and key.
     """
     rows = replace(rows, matrices=_match_letters(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
@@ -58,8 +58,8 @@ def assemble_model(rows: Rows) -> LinearModel:
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the outputs in this package.
 
-    A square C next to M and K may be the damping or the outputs, and causes an error unless the
-    sidecar states its meaning.
+    A square C beside M and K may contain the damping or the outputs. If the sidecar does not state
+    which, it causes an error.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
@@ -94,18 +94,19 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
             got,
             f"at most {MAX_NARROW_ENTRIES} numbers in C",
         )
-    # output matrix of a model without damping
+    # C is the output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
 
 
 def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
-    """Return all matrices of the model by letter, and check that their shapes fit.
+    """Return all matrices of the model, keyed by letter, and check that their shapes match.
 
-    Without M the model is of first order, such as heat conduction ``E x' + K x = B u``. A matrix of
-    which one triangle is stored is mirrored only if the sidecar states ``symmetric = true``.
-    Otherwise a matrix with one triangle causes an error. So do zero matrices other than E.
+    A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
+    file contains only one triangle of a matrix, the sidecar must state ``symmetric = true``, and
+    the triangle is mirrored; otherwise an error is raised. Zero matrices other than E also cause an
+    error.
     """
     matrices = dict(rows.matrices)
     stiffness = matrices.get("K")
@@ -121,14 +122,16 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
             files = " and ".join(f"{name[1]}{k}{name[2] or ''}" for k in lacking.split(" and "))
             hint = f"add the file{'s' if len(lacking) > 1 else ''} {files}"
         raise wrong(rows.where, "the model has no inputs", got, expected, hint)
-    size = max((matrix.shape[0] for matrix in _square_matrices(matrices).values()), default=1)
+    size = max(
+        (matrix.shape[0] for matrix in _select_square_matrices(matrices).values()), default=1
+    )
     model = LinearModel(**{"B": np.ones((size, 1)), **matrices}, name=rows.where)
     letters = (set(matrices) - {"K"}) | {"A"} if model.first_order else set(matrices)
     letters |= set("CD") if "B" in matrices else set()
     result = {letter: getattr(model, letter) for letter in letters}
     if structural and "K" in result:
         result["K"] = stiffness
-    symmetric, square = rows.sidecar.symmetric, _square_matrices(result)
+    symmetric, square = rows.sidecar.symmetric, _select_square_matrices(result)
     halves = [k for k, matrix in square.items() if stores_one_triangle(matrix)]
     if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
@@ -148,7 +151,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     return result | square
 
 
-def _square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
+def _select_square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
     """Select the matrices that have a row and a column for each unknown."""
     return {letter: matrices[letter] for letter in "MEKA" if letter in matrices}
 
@@ -162,8 +165,8 @@ def _select_entries(matrix: Matrix, keep: np.ndarray) -> Matrix:
 class Rows:
     """Rows of the matrices of a model, with their nodes and degrees of freedom.
 
-    ``raw`` is the content of the model's files. The ``sidecar`` contains the places of the nodes.
-    Errors quote the path ``where``. ``matrices`` are the matrices by letter.
+    ``raw`` is the content of the model's files. The ``sidecar`` contains units, supports and ports.
+    ``where`` is the path that errors quote. ``matrices`` maps letters to matrices.
     """
 
     name: str
@@ -180,9 +183,9 @@ class Rows:
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:
-        """Return nodes and degrees of freedom of the rows, which a key needs.
+        """Return the nodes and degrees of freedom of the rows.
 
-        ``where`` is this key.
+        ``where`` is the key of the sidecar that needs them, for errors.
         """
         dofs = self.raw.dofs
         if dofs is None:
@@ -200,9 +203,8 @@ class Rows:
     def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Find the rows of degrees of freedom at the nodes of ``place``.
 
-        The result contains an array for each of ``kinds``.
-
-        Without ``kinds`` the only array contains the rows of all degrees of freedom at these nodes.
+        The result contains one array of rows for each kind of degree of freedom in ``kinds``.
+        Without ``kinds``, it contains one array with the rows of all degrees of freedom.
         """
         where = self.sidecar.of(place)
         dofs, mesh = self.dofs(where), self.sidecar.mesh
@@ -237,7 +239,7 @@ class Rows:
         return rows if kinds else [np.flatnonzero(here)]
 
     def convert_to_si(self) -> Mapping[str, Matrix]:
-        """Convert the matrices to metres and newtons, with the same virtual work."""
+        """Convert the matrices to metres and newtons, so that virtual work is in joules."""
         settings = self.sidecar
         length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
         if length == force == 1:
@@ -258,7 +260,7 @@ class Rows:
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
     def fixed(self) -> np.ndarray:
-        """Mask (rows,) of the degrees of freedom that the program or the sidecar fixes."""
+        """Return a mask (rows,) of the degrees of freedom that the files or the sidecar fix."""
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
@@ -294,9 +296,12 @@ class Rows:
         return load
 
     def _select_load(self, entry: PortEntry) -> np.ndarray:
-        """Select a column of B or row of C, which must be equal for conservative ports."""
+        """Select the column of B or the row of C of a port.
+
+        For a conservative port, the row and the column must be equal.
+        """
         B = self.matrices.get("B", np.zeros((self.size, 0)))
-        # matrix C of the files, or the transpose of B
+        # C is the matrix in the files, or the transpose of B
         C = self.matrices.get("C", B.T)
         where, place = self.sidecar.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
@@ -314,7 +319,7 @@ class Rows:
         return load
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
-        """Compute B, C, D over all rows, and the ports in the order of the sidecar."""
+        """Compute B, C, D over all rows, and the ports in the sequence of the sidecar."""
         settings = self.sidecar
         if not settings.ports:
             return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
@@ -335,7 +340,7 @@ class Rows:
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
-        # for ports whose column and row are given as numbers in the sidecar
+        # D applies to ports whose columns and rows are given as numbers in the sidecar
         if "D" in self.matrices:
             numbers = np.array([entry.row or entry.column or 0 for entry in settings.ports])
             D = np.pad(self.matrices["D"], 1)[np.ix_(numbers[outputs], numbers[inputs])]
@@ -356,7 +361,7 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
         raise UsageError(
             "all degrees of freedom of the model are fixed", where=settings.where, hint=cure
         )
-    square = _square_matrices(rows.matrices)
+    square = _select_square_matrices(rows.matrices)
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
@@ -402,10 +407,10 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
 
 
 def _assemble_piezoelectric(rows: Rows) -> LinearModel:
-    """Assemble a model with electrodes at nodes and without other free potentials.
+    """Assemble a model with electrodes at nodes, and eliminate all other potentials exactly.
 
-    The free potentials are eliminated exactly. The matrix of the program is ``[[K_uu, K_up],
-    [K_up', -K_pp]]``, as in files of Ansys and Abaqus.
+    The matrix of the program is ``[[K_uu, K_up], [K_up', -K_pp]]``, as in files of Ansys and
+    Abaqus.
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
@@ -465,7 +470,7 @@ def _split_loss(
 
     Raises
     ------
-    UsageError : an imaginary part in the rows of potentials, or a second loss in the TOML file.
+    UsageError : rows of potentials have an imaginary part, or the TOML file states another loss.
     """
     if not np.iscomplexobj(K):
         return K, None

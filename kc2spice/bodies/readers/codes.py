@@ -1,29 +1,29 @@
 """Readers of the matrix formats of finite-element programs.
 
-Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``. With ``FORMAT=MATRIX
-INPUT`` (or ``LABELS``) the text file contains ``node, dof, node, dof, value`` of one triangle.
-With ``FORMAT=COORDINATE`` it contains ``row column value`` of both triangles, without the names of
-the rows. A degree of freedom that a boundary condition of the step fixes has 1e36 on the diagonal
-of the stiffness.
+The command ``*MATRIX GENERATE`` of Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` and others.
+With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), a text file contains lines ``node, dof, node, dof,
+value`` of one triangle. With ``FORMAT=COORDINATE``, it contains lines ``row column value`` of both
+triangles, without the names of the rows. If a boundary condition of the step fixes a degree of
+freedom, its diagonal entry of the stiffness is 1e36.
 
-CalculiX writes ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE``.
-The files contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
-temperature.
+The command ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` of CalculiX writes ``JOB.sti``, ``JOB.mas`` and
+``JOB.dof``. The matrix files contain lines ``row column value``. The file ``JOB.dof`` contains
+``node.direction`` for each row; the direction is 1 to 6, or 0 for temperature.
 
-Ansys writes the binary ``.full`` file, which the package ansys-mapdl-reader of Ansys reads.
-``HBMAT`` writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses
-symmetric matrices. Fields have a fixed width and may have no blanks between them, so the widths in
-the header separate them (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix
-Collection, 1992).
+Ansys writes the binary ``.full`` file, which the package ansys-mapdl-reader of Ansys reads. The
+command ``HBMAT`` writes Harwell-Boeing files, and a file that maps rows to nodes. scipy's
+``hb_read`` rejects symmetric matrices. There may be no blanks between fields, so that fields are
+separated by the widths in the header (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing
+Sparse Matrix Collection, 1992).
 
 Nastran writes DMIG cards of a punch file, and OUTPUT4 files, which pyyeti reads. ``K...`` is the
 stiffness, ``K4...`` its structural damping, ``M...`` the mass and ``B...`` the viscous damping. The
-key ``matrices`` of the sidecar may state other names. DMIG: MSC Nastran Quick Reference Guide;
-large, small and free fields.
+key ``matrices`` of the sidecar may state other names. DMIG cards may have large, small or free
+fields (MSC Nastran Quick Reference Guide).
 
-Structural damping is the imaginary part H of a complex stiffness ``K + j H``. The loss is the
-imaginary part of a complex matrix, or a separate matrix: Nastran's ``K4...`` and Abaqus'
-``JOB_DMPS2.mtx``.
+Structural damping is the imaginary part H of a complex stiffness ``K + j H``. Files contain H as
+the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` of Nastran, or
+``JOB_DMPS2.mtx`` of Abaqus.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
             one, "MATRIX INPUT and COORDINATE", "one format for all matrices"
         )
     if True in formats:
-        result, dofs = raw.matrices_by_letter(tables)
-        result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
+        result, dofs = raw.make_matrices_by_letter(tables)
+        result = {letter: raw.complete_triangles(matrix) for letter, matrix in result.items()}
     else:
         n = 1 + max(int(np.max(table[:2])) for table in tables.values())
         result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
@@ -115,8 +115,8 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
     """Parse the rows, columns and values of a matrix.
 
-    The first result states whether lines contain nodes and degrees of freedom. Rows and columns are
-    then keys of both, otherwise they count from 0.
+    The first result is whether lines contain nodes and degrees of freedom. If they do, rows and
+    columns are keys of both (:func:`compute_row_keys`); otherwise they are numbers from 0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)
@@ -130,7 +130,7 @@ def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
         )
     table = values.reshape(-1, width)
     if width == 5:
-        return True, raw.row_keys(table)
+        return True, raw.compute_row_keys(table)
     return False, (
         parse_indices(table[:, 0], raw.MAX_ROWS),
         parse_indices(table[:, 1], raw.MAX_ROWS),
@@ -139,11 +139,11 @@ def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
 
 
 def read_calculix(path: Path, _: object) -> raw.Raw:
-    """Read stiffness and mass of a job by the path of one of its files.
+    """Read the stiffness and mass of a job from the path of one of its files.
 
     Raises
     ------
-    UsageError : a file is missing, damaged, too large, or they do not fit together.
+    UsageError : a file is missing, damaged or too large, or the files do not match.
     """
     stiffness, mass, rows = map(path.with_suffix, SUFFIXES)
     for file in (stiffness, mass, rows):
@@ -186,7 +186,7 @@ def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
         raise ValueError(
             f"row {bare.argmax() + 1} has no diagonal entry; the file may be truncated"
         )
-    return raw.both_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
+    return raw.complete_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
 # numbers of degrees of freedom in this file, counted from 0
@@ -199,14 +199,15 @@ HARWELL_BOEING_EXPECTED = (
 )
 _FORTRAN_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _MATRIX_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
-_MAX_LINE_LENGTH = 10_000  # characters of a line
+_MAX_LINE_LENGTH = 10_000  # largest number of characters of a line
 _ANSYS_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Read stiffness and mass of a ``.full`` file as arrays of an archive.
+    """Return the stiffness and mass in a ``.full`` file as arrays of an archive.
 
-    ``fixed`` are the degrees of freedom that Ansys constrains. ``requested`` is ignored.
+    The array ``fixed`` contains the degrees of freedom that Ansys constrains. ``requested`` is
+    ignored.
 
     Raises
     ------
@@ -235,14 +236,14 @@ def is_harwell_boeing(head: bytes) -> bool:
 def read_harwell_boeing(
     data: bytes, allowed: Callable[[tuple[int, int], int], None]
 ) -> sparse.csc_array:
-    """Read the matrix of a file's content with both triangles.
+    """Return the matrix in the content of a file, with both triangles.
 
-    ``allowed(shape, entries)`` raises an error if the declared size is too large, before memory is
-    allocated.
+    Before memory is allocated, ``allowed(shape, entries)`` is called. It raises an error if the
+    declared size is too large.
 
     Raises
     ------
-    ValueError : binary, elemental, Hermitian, a pattern or damaged.
+    ValueError : the file is binary or damaged, or the matrix is elemental, Hermitian or a pattern.
     """
     lines = data.splitlines()
     if len(lines) < 5:
@@ -303,7 +304,8 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
 
     Raises
     ------
-    ValueError : damaged, an equation missing or repeated, or an unknown degree of freedom.
+    ValueError : the file is damaged, an equation is missing or repeated, or a degree of freedom is
+        unknown.
     """
     lines = map(str.split, data.decode("ascii", "replace").splitlines())
     rows = [words for words in lines if words and words[0].isdigit()]
@@ -335,7 +337,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
 
     Raises
     ------
-    UsageError : the file lacks a requested matrix, or two matrices fit one letter.
+    UsageError : the file does not contain a requested matrix, or two matrices suit one letter.
     """
     known = {name.upper(): name for name in names}
     selected = {}
@@ -344,7 +346,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
             raise raw.make_unusable_error(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
     for letter in _NASTRAN_PREFIXES.values():
-        fits = [name for name in known.values() if _standard_letter(name) == letter]
+        fits = [name for name in known.values() if _find_standard_letter(name) == letter]
         if letter in selected or not fits or requested:
             continue
         if len(fits) > 1:
@@ -360,19 +362,19 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
     return selected
 
 
-def _standard_letter(name: str) -> str | None:
-    """Return the letter of a matrix from the beginning of its name; None if unknown."""
+def _find_standard_letter(name: str) -> str | None:
+    """Return the letter that the beginning of a matrix name stands for; None if unknown."""
     return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 
 
 def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     """Read the matrices of the DMIG cards in ``path``.
 
-    Grid and component identify the rows.
+    Grid point and component identify the rows.
 
     Raises
     ------
-    UsageError : no DMIG cards, rectangular matrices, or a damaged file.
+    UsageError : the file is damaged, or contains no DMIG cards or rectangular matrices.
     """
     expected = "square DMIG cards"
     forms, entries = raw.parse_file(path, expected, _parse_dmig)
@@ -380,26 +382,26 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
         [n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path
     )
     triples = {letter: entries[name] for letter, name in selected.items()}
-    matrices, dofs = raw.matrices_by_letter(triples)
+    matrices, dofs = raw.make_matrices_by_letter(triples)
     for letter, name in selected.items():
         if forms[name] == _SYMMETRIC:
-            matrices[letter] = raw.both_triangles(matrices[letter])
+            matrices[letter] = raw.complete_triangles(matrices[letter])
     return raw.Raw(add_structural_loss(matrices), dofs)
 
 
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
-    """Parse the forms of the matrices by name, and their keys and values."""
+    """Parse the forms of the matrices, keyed by name, and the keys and values of their entries."""
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}
     entries: dict[str, list[tuple[complex, ...]]] = {}
     if data and not data.endswith(b"\n"):
         raise ValueError("the last line is not complete; the file may be truncated")
-    for cells in bulk_data_cards(data, "DMIG"):
+    for cells in list_bulk_data_cards(data, "DMIG"):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":
             forms[name], entries[name] = int(cells[2]), []
             polar = len(cells) > 5 and cells[5].strip() not in ("", "0")
-            values[name] = _value_converter(int(cells[3]), polar, name)
+            values[name] = _make_value_converter(int(cells[3]), polar, name)
             continue
         if name not in forms:
             raise ValueError(f"matrix {name} has no header card")
@@ -411,10 +413,12 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
                 entries[name].append((*place, values[name](first, second)))
     if not forms:
         raise ValueError("no DMIG card")
-    return forms, {name: raw.row_keys(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
+    return forms, {
+        name: raw.compute_row_keys(np.array(e).reshape(-1, 5)) for name, e in entries.items()
+    }
 
 
-def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
+def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
     """Return the function that converts the two fields of an entry to its value.
 
     A real matrix uses the first field. A complex matrix uses both fields: real and imaginary part,
@@ -433,8 +437,8 @@ def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], 
     )
 
 
-def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the fields of each card of a name, with the fields of continuation lines.
+def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
+    """Yield the fields of each card with this ``name``, including continuation lines.
 
     Fields of bulk data may be small, large or free.
     """
@@ -470,7 +474,7 @@ def _parse_component(text: str) -> int:
 
 
 def parse_fortran_number(text: str) -> float:
-    """Parse a number as Fortran writes it: 1.5D+7, or 1.5+7."""
+    """Parse a number in a notation of Fortran: 1.5D+7, or 1.5+7."""
     return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 
 
@@ -479,7 +483,7 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
 
     Raises
     ------
-    UsageError : too large, or no stiffness in it.
+    UsageError : the file is too large, or contains no stiffness.
     MissingToolError : pyyeti is not installed.
     """
     op4 = import_optional("pyyeti.nastran.op4", path)
@@ -491,7 +495,7 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
     matrices = {}
     for letter, name in selected.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        matrices[letter] = raw.both_triangles(matrix) if form == _SYMMETRIC else matrix
+        matrices[letter] = raw.complete_triangles(matrix) if form == _SYMMETRIC else matrix
     result: dict[str, np.ndarray] = {}
     for letter, matrix in add_structural_loss(matrices).items():
         result |= raw.pack_matrix(letter, matrix)

@@ -1,15 +1,16 @@
-"""Complex responses from columns, and their admittances.
+"""Complex responses from columns of numbers, and their admittances.
 
-The input is tables of a file, or vectors with titles. The output is a :class:`MeasuredResponse`. A
-file with two possible meanings is rejected, and the error describes both.
+The input is the tables of a file, or vectors with titles. The output is a
+:class:`MeasuredResponse`. A file with two possible meanings is rejected, and the error describes
+both meanings.
 
 The gain through a shunt is measured with a resistor R in series with the part. The gain is the
 voltage across the shunt divided by the source voltage::
 
     g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
 
-This is the admittance of the reflection ``S = 1 - 2 g`` with the reference resistance R. The gain
-of a passive part is at most 1, and its inverse is at least 1.
+A reflection ``S = 1 - 2 g`` with the reference resistance R has the same admittance. The gain of a
+passive part is at most 1. If a measured ratio is mostly above 1, it is the inverse of the gain.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from kc2spice.bodies.readers.meanings import (
 from kc2spice.bodies.readers.text_table import MAX_HEADER_LENGTH, TextTable
 from kc2spice.bodies.readers.titles import (
     Column,
-    complex_quantity,
     convert_column,
+    find_complex_quantity,
     is_frequency,
     read_title,
 )
@@ -45,24 +46,27 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates
 
 DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
-# smallest number of frequencies, for four parameters of one resonance and its noise
+# smallest number of frequencies, for the four parameters of a resonance and an estimate of the
+# noise
 MIN_FREQUENCIES = 12
-# largest median relative difference of two readings, above the rounding of columns
+# Largest median relative difference of two responses from different columns that agree. It is
+# larger than rounding errors of columns.
 AGREEMENT_LIMIT = 0.05
-# largest ratio of reversals of the frequency to its steps, in a table of sweeps with 10 rows or
-# more
+# Largest ratio of the number of reversals of the frequency to the number of its steps, in a table
+# of sweeps with at least 10 rows.
 MAX_REVERSAL_SHARE = 0.1
-MAX_TITLE_LENGTH = 50  # characters of the titles in an error that also lists unknown titles
+MAX_TITLE_LENGTH = 50  # number of characters of titles in an error that also lists unknown titles
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 ONE_PART_HINT = "delete the columns or lines of the other one"
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(EqualByContent):
-    """Measured ``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz].
+    """Measured ``samples`` (n, ports, ports) of a ``quantity`` at frequencies ``f`` (n,) [Hz].
 
-    ``Y`` are their admittances, ``reference`` the reference resistances (ports,) [Ohm] of S,
-    ``notes`` the assumptions of the reader, and ``columns`` the meaning of the columns.
+    ``Y`` are the admittances of the samples, and ``reference`` (ports,) [Ohm] the reference
+    resistances of S. ``notes`` are assumptions that the reader made, and ``columns`` describes the
+    meaning of the columns.
     """
 
     f: np.ndarray
@@ -75,7 +79,7 @@ class MeasuredResponse(EqualByContent):
 
 
 def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Convert S, Z or Y to Y (n, ports, ports).
+    """Convert samples ``P`` of S, Z or Y to admittances (n, ports, ports).
 
     ``z0`` (ports,) are the reference resistances of S.
     """
@@ -91,7 +95,7 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
 
 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
-    """Return the error of a file with more than one possible meaning."""
+    """Make the error for a file with more than one possible meaning."""
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     expected = f"a file with one meaning, not {listed}"
     return UsageError(
@@ -106,7 +110,7 @@ def find_response(
 
     Raises
     ------
-    ValueError, UsageError : no table is a response, or more than one is.
+    ValueError, UsageError : no table contains a response, or several tables do.
     """
     large = [table for table in tables if table.rows >= MIN_FREQUENCIES] or list(tables[:1])
     responses, reasons = list[tuple[TextTable, MeasuredResponse]](), list[Exception]()
@@ -149,7 +153,7 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace titles that a suffix implies by titles of the same quantity in comments.
+    """Replace the default titles of a file type by titles of the same quantity in comments.
 
     Raises
     ------
@@ -172,7 +176,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Combination of two columns: the ``samples`` (n,) and the titles of the columns."""
+    """Response from a combination of columns: ``samples`` (n,) and titles of the columns."""
 
     combination: Combination
     columns: tuple[Column, ...]
@@ -184,7 +188,7 @@ class _ColumnPair(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedColumns(EqualByContent):
-    """Columns by quantity, complex columns, unknown titles, and problems of titles."""
+    """Columns keyed by quantity, complex columns, unknown titles, and problems with titles."""
 
     by_quantity: dict[str, list[Column]]
     complex_columns: list[tuple[str, Quantity, np.ndarray]]
@@ -198,14 +202,15 @@ def combine_response(
     shunt: float | None = None,
     notes: Sequence[str] = (),
 ) -> MeasuredResponse:
-    """Combine columns, ``numbers`` (n,) under ``titles``, to a response.
+    """Combine columns of ``numbers`` (n,) with ``titles`` to a response.
 
     ``shunt`` is the resistance [Ohm] through which a gain was measured.
 
     Raises
     ------
-    ValueError : no frequency or no two columns that determine an impedance.
-    UsageError : columns that contradict each other; a gain without a shunt, or the reverse.
+    ValueError : there is no column of frequencies, or no two columns determine an impedance.
+    UsageError : columns contradict each other; or there is a gain without a shunt, or a shunt
+        without a gain.
     """
     if len(titles) != len(numbers):
         raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
@@ -216,7 +221,7 @@ def combine_response(
     _require_one_sweep(f)
     notes = [*notes, *map("not used: {}".format, columns.problems)]
     if columns.complex_columns:
-        return _complex_response(frequency, columns, titles, notes)
+        return _make_complex_response(frequency, columns, titles, notes)
     readings = _combine_columns(columns, f, shunt)
     reading = readings[0]
     used = (frequency, *reading.columns)
@@ -242,7 +247,7 @@ def _require_one_sweep(f: np.ndarray) -> None:
     Raises
     ------
     UsageError : the table contains several sweeps.
-    ValueError : the frequencies are in no order.
+    ValueError : the frequencies are not sorted.
     """
     (rows,) = np.nonzero(f)
     steps = np.diff(f[rows])
@@ -262,7 +267,7 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
     for text, values in zip(titles, numbers, strict=True):
         try:
             if np.iscomplexobj(values):
-                kind = complex_quantity(text)
+                kind = find_complex_quantity(text)
                 if kind is not None:
                     result.complex_columns.append((text.strip(), kind[0], kind[1] * values))
                 else:
@@ -283,7 +288,7 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
 def _require_complete(
     titles: Sequence[str], columns: ClassifiedColumns, shunt: float | None
 ) -> None:
-    """Raise an error unless a frequency and the columns of one combination exist."""
+    """Raise an error if there is no column of frequencies, or no complete combination."""
     names = set(columns.by_quantity)
     complete = [c for c in COMBINATIONS if set(c.columns) <= names]
     gains = list(filter(attrgetter("shunt"), complete))
@@ -310,7 +315,7 @@ def _require_complete(
 
 
 def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) -> Exception:
-    """Return the error of columns that do not determine an impedance."""
+    """Make the error for columns that do not determine an impedance."""
     if columns.problems:
         return ValueError(columns.problems[0])
     for text in columns.unknown:
@@ -356,7 +361,7 @@ def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
     """
     first, *others = candidates
     for other in others:
-        if _relative_difference(other.values, first.values) > AGREEMENT_LIMIT:
+        if _compute_relative_difference(other.values, first.values) > AGREEMENT_LIMIT:
             label = f"two columns of {QUANTITY_LABELS.get(quantity, quantity)}"
             raise make_ambiguity_error(label, (str(first), str(other)), ONE_PART_HINT)
     return first
@@ -365,12 +370,12 @@ def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
 def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[Column, Column]:
     """Select the columns of a combination.
 
-    If several first columns exist, the channel of the second column determines the selection.
+    If there are several candidates for the first column, it has the channel of the second column.
 
     Raises
     ------
-    UsageError : columns of one quantity differ, and no channel states which of them belong
-        together.
+    UsageError : several columns of one quantity differ, and no channel is stated that shows which
+        columns belong together.
     """
     first, second = combination.columns
     sizes, others = columns.by_quantity[first], columns.by_quantity[second]
@@ -382,12 +387,12 @@ def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[
 
 
 def _find_channel(column: Column) -> str:
-    """Return the channel in the title of a column, such as ``channel 2``; empty if missing."""
+    """Return the channel in the title of a column, such as ``channel 2``; "" without a channel."""
     match = CHANNEL_PATTERN.search(column.title.text)
     return match[0].lower() if match else ""
 
 
-def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
+def _compute_relative_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Return the median difference relative to ``b`` (n,) at finite, nonzero points."""
     with np.errstate(all="ignore"):
         ratio = np.abs(a / b - 1)
@@ -398,7 +403,7 @@ def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
 def _combine_columns(
     columns: ClassifiedColumns, f: np.ndarray, shunt: float | None
 ) -> list[_ColumnPair]:
-    """Form all combinations of columns, and check that they agree.
+    """Compute the responses of all combinations of columns, and check that they agree.
 
     Raises
     ------
@@ -406,7 +411,7 @@ def _combine_columns(
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # name of the magnitude that belongs to the phase
+    # name of the magnitude that has this phase
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns
@@ -420,7 +425,7 @@ def _combine_columns(
     best = readings[0]
     for other in readings[1:]:
         if (
-            _relative_difference(_compute_admittance(other), _compute_admittance(best))
+            _compute_relative_difference(_compute_admittance(other), _compute_admittance(best))
             > AGREEMENT_LIMIT
         ):
             got = f"columns that differ, first at {f[0]:g} Hz"
@@ -430,7 +435,7 @@ def _combine_columns(
 
 
 def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
-    """Admittance (n,) of a combination of columns, with a common reference resistance of S."""
+    """Compute the admittance (n,) of a response; S has the default reference resistance."""
     x = reading.samples
     if reading.combination.quantity == "Y":
         return x
@@ -438,7 +443,7 @@ def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Convert a gain through a shunt [Ohm] to a reflection, its reference and a note."""
+    """Convert a gain through a shunt [Ohm] to a reflection, its reference resistance and a note."""
     inverse = bool(np.median(np.abs(gain)) > 1)
     ratio = "source over shunt" if inverse else "shunt over source"
     gain = 1 / gain if inverse else gain
@@ -446,10 +451,10 @@ def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, st
     return 1 - 2 * gain, shunt, note
 
 
-def _complex_response(
+def _make_complex_response(
     frequency: Column, columns: ClassifiedColumns, titles: Sequence[str], notes: Sequence[str]
 ) -> MeasuredResponse:
-    """Return the response that a table has as one column of complex numbers."""
+    """Return the response that a table contains as one column of complex numbers."""
     text, quantity, samples = columns.complex_columns[0]
     if len(columns.complex_columns) > 1:
         readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]
@@ -481,7 +486,7 @@ def _make_response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """Make the response of samples (n,) of one port without rows at frequency zero."""
+    """Make the response of samples (n,) of one port, and omit rows at frequency zero."""
     f, samples = f[f != 0], samples[f != 0]
     matrix, z0 = samples[:, None, None], np.array([reference])
     Y = convert_to_admittance(quantity, matrix, z0)

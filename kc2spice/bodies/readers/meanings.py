@@ -1,12 +1,12 @@
 """Columns of measuring instruments: quantities, units, titles and combinations.
 
-This module contains data only; a new kind of column is one row.
+This module contains only data. A new kind of column is added as one row.
 
 - :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
 - :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
 - :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
 - :mod:`kc2spice.bodies.readers.thermal_transient` reads a time and one of
-:data:`TRANSIENT_QUANTITIES`.
+  :data:`TRANSIENT_QUANTITIES`.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-# prefixes accepted in upper and lower case, because the lower-case letter is not another prefix
+# prefixes that are accepted in upper and lower case, because the other case is no other prefix
 CASE_FREE_PREFIXES = "kMGT"
 # Spellings of each unit, keyed by measured quantity, with the SI value of the unit. Titles with a
 # capital letter are matched case-sensitively; all others ignore case.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    # in another code page, the letter omega becomes an O
+    # in a wrong code page, the letter omega is read as an O
     "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
@@ -38,12 +38,12 @@ UNITS: dict[str, dict[str, float]] = {
     "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01, "U": 1.0},
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "minutes": 60.0, "h": 3600.0,
              "hours": 3600.0},
-    # Only temperature differences matter, so the zero of a scale is ignored.
+    # Only temperature differences are used, so the zero of a temperature scale has no effect.
     "temperature": {"k": 1.0, "kelvin": 1.0, "°c": 1.0, "degc": 1.0, "c": 1.0, "celsius": 1.0,
                     "°f": 5 / 9, "degf": 5 / 9},
     "thermal impedance": {"k/w": 1.0, "k_per_w": 1.0, "k_w": 1.0, "°c/w": 1.0, "c/w": 1.0},
 }  # fmt: skip
-REPLACED_LETTERS = {"O": "Ohm"}  # unit letters that a program has replaced in titles
+REPLACED_LETTERS = {"O": "Ohm"}  # wrong letters of units in titles, and the correct units
 DEFAULT_UNITS = {
     "frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F",
     "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
@@ -65,11 +65,11 @@ UNITS_WITHOUT_PREFIX = (
     "degf",
     "min",
 )
-# phases of passive parts are within one turn
+# columns of phases, which are within one turn for passive parts
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad: one turn plus 1 % for noise
-# An angle without unit is in rad if its magnitude is at most the first value and its spread above
-# the second.
+# An angle without a unit is in rad if its largest magnitude is at most the first value and its
+# range is above the second value.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
@@ -77,9 +77,9 @@ RADIAN_LIMITS = 0.51 * np.pi, 0.5
 class ColumnKind:
     """Kind of column: its quantity, and the pattern of its title.
 
-    ``measures`` are the kinds of units of the column, the first by default. ``names`` is the
-    pattern of the title in small letters, without sign, unit, blanks and words of instruments. With
-    ``needs_unit`` the title is not sufficient to identify the column.
+    ``measures`` are the kinds of units that the column may have; the first is the default.
+    ``names`` is the pattern of the title in small letters, without sign, unit, blanks and words
+    that instruments add. If ``needs_unit`` is true, the title alone does not identify the column.
     """
 
     quantity: str
@@ -94,7 +94,7 @@ _REAL = r"(re|real|realpart)"
 _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
-def _affix_pattern(of: str, word: str) -> str:
+def _make_affix_pattern(of: str, word: str) -> str:
     """Return the pattern of a word before or after a letter, as in ``magz`` and ``zmag``."""
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
@@ -103,24 +103,24 @@ _SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature
 SOUND_QUANTITY = "sound pressure"  # quantity that does not determine an impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_affix_pattern('z', _MAGNITUDE)}"),
+    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_make_affix_pattern('z', _MAGNITUDE)}"),
     ColumnKind(
         "y",
         ("admittance", "decibel"),
-        rf"y|y?\|y\||{_affix_pattern('y', _MAGNITUDE)}",
+        rf"y|y?\|y\||{_make_affix_pattern('y', _MAGNITUDE)}",
     ),
     ColumnKind("z", ("impedance",), _MAGNITUDE, needs_unit=True),
     ColumnKind("y", ("admittance",), _MAGNITUDE, needs_unit=True),
     ColumnKind("phase", ("angle",), _PHASE),
-    ColumnKind("phase_z", ("angle",), _affix_pattern("z", _PHASE)),
-    ColumnKind("phase_y", ("angle",), _affix_pattern("y", _PHASE)),
+    ColumnKind("phase_z", ("angle",), _make_affix_pattern("z", _PHASE)),
+    ColumnKind("phase_y", ("angle",), _make_affix_pattern("y", _PHASE)),
     ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
-    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_affix_pattern('z', _REAL)}"),
-    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_affix_pattern('z', _IMAGINARY)}"),
+    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_make_affix_pattern('z', _REAL)}"),
+    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_make_affix_pattern('z', _IMAGINARY)}"),
     ColumnKind("rp", ("impedance",), r"z?rp"),
-    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_affix_pattern('y', _REAL)}"),
-    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_affix_pattern('y', _IMAGINARY)}"),
+    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_make_affix_pattern('y', _REAL)}"),
+    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_make_affix_pattern('y', _IMAGINARY)}"),
     ColumnKind("r", ("impedance",), _REAL, needs_unit=True),
     ColumnKind("x", ("impedance",), _IMAGINARY, needs_unit=True),
     ColumnKind("g", ("admittance",), _REAL, needs_unit=True),
@@ -137,34 +137,34 @@ COLUMN_KINDS = (
     ColumnKind(
         "s_size",
         ("number", "decibel"),
-        rf"{_affix_pattern('s', _MAGNITUDE)}|{_affix_pattern('s11', _MAGNITUDE)}",
+        rf"{_make_affix_pattern('s', _MAGNITUDE)}|{_make_affix_pattern('s11', _MAGNITUDE)}",
     ),
     ColumnKind(
         "s_phase",
         ("angle",),
-        rf"{_affix_pattern('s', _PHASE)}|{_affix_pattern('s11', _PHASE)}",
+        rf"{_make_affix_pattern('s', _PHASE)}|{_make_affix_pattern('s11', _PHASE)}",
     ),
     ColumnKind(
         "s_real",
         ("number",),
-        rf"{_affix_pattern('s', _REAL)}|{_affix_pattern('s11', _REAL)}",
+        rf"{_make_affix_pattern('s', _REAL)}|{_make_affix_pattern('s11', _REAL)}",
     ),
     ColumnKind(
         "s_imag",
         ("number",),
-        rf"{_affix_pattern('s', _IMAGINARY)}|{_affix_pattern('s11', _IMAGINARY)}",
+        rf"{_make_affix_pattern('s', _IMAGINARY)}|{_make_affix_pattern('s11', _IMAGINARY)}",
     ),
     ColumnKind(
         "gain",
         ("decibel", "number"),
-        rf"gain|{_affix_pattern('gain', _MAGNITUDE)}",
+        rf"gain|{_make_affix_pattern('gain', _MAGNITUDE)}",
         needs_unit=True,
     ),
     ColumnKind("gain", ("decibel",), _MAGNITUDE, needs_unit=True),
-    ColumnKind("gain_phase", ("angle",), _affix_pattern("gain", _PHASE)),
+    ColumnKind("gain_phase", ("angle",), _make_affix_pattern("gain", _PHASE)),
     ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
-    ColumnKind("gain_real", ("number",), _affix_pattern("gain", _REAL)),
-    ColumnKind("gain_imag", ("number",), _affix_pattern("gain", _IMAGINARY)),
+    ColumnKind("gain_real", ("number",), _make_affix_pattern("gain", _REAL)),
+    ColumnKind("gain_imag", ("number",), _make_affix_pattern("gain", _IMAGINARY)),
     ColumnKind("time", ("time",), r"t|tp|time|elapsed|elapsedtime|pulse(width|duration)"),
     ColumnKind(
         "temperature",
@@ -176,7 +176,7 @@ COLUMN_KINDS = (
     ColumnKind("zth", ("thermal impedance",), "z", needs_unit=True),
     ColumnKind(SOUND_QUANTITY, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
-# Names of quantities in messages, if they differ from the names of the columns.
+# Names of quantities in messages, where they differ from the names of the columns.
 QUANTITY_LABELS = {
     "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
     "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
@@ -187,7 +187,8 @@ QUANTITY_LABELS = {
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
-# Primes after Z or Y, and the part that they denote. ZPlot writes Z'(a) and Z''(b).
+# Primes after Z or Y, and whether they denote the real or the imaginary part. ZPlot writes Z'(a)
+# and Z''(b).
 PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
 # Words that instruments add to a title.
 ADDED_WORDS = re.compile(
@@ -196,7 +197,7 @@ ADDED_WORDS = re.compile(
 )
 # channel to which a column belongs
 CHANNEL_PATTERN = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
-# Titles of a table without titles, keyed by file suffix.
+# Default titles of a table without titles, keyed by file suffix.
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
     ".frd": ("Frequency (Hz)", "Gain (dB)", "Phase (deg)"),
@@ -206,8 +207,8 @@ UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and pha
 # Columns of a trace whose quantity is stated in a line ``FORMAT: |Z|`` above the table.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
-# A format that states the scale of an axis. The quantities of traces A and B are stated above, as
-# in ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
+# A format that is only the scale of an axis. Then a line above all traces contains the quantities
+# of traces A and B, such as ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
 TRACE_SCALE = re.compile(r"lin(ear)?( [xy])?|log( [xy])?", re.I)
 TRACE_NAME = re.compile(r"\W*trace\s*:\s*([ab])\W*", re.I)
 TRACE_PARAMETERS = re.compile(r"\W*measure parameter\s*:\s*(.*\S)", re.I)
@@ -227,7 +228,7 @@ UNSTATED_QUANTITIES = {
 class Combination:
     """Columns that determine a ``quantity``: angles in rad, w in rad/s.
 
-    With ``shunt`` the value is the gain from a source to a resistor in series with the part.
+    If ``shunt`` is true, the value is the gain from a source to a resistor in series with the part.
     """
 
     columns: tuple[str, str]

@@ -1,11 +1,12 @@
 """Measured responses from Touchstone files, tables and MATLAB files.
 
-A table has titles of its columns in any order (:mod:`kc2spice.bodies.readers.meanings`). A measured
-file contains a frequency and the columns of one combination. Semicolons, tabs, commas or blanks
-separate fields. A comma that does not separate columns is a decimal comma.
+The columns of a table have titles, in any sequence (:mod:`kc2spice.bodies.readers.meanings`). A
+measured file contains a column of frequencies and the columns of one combination. Semicolons, tabs,
+commas or blanks separate fields. A comma that does not separate columns is a decimal comma.
 
 Variables of a MATLAB file have the same names as columns. A complex variable is ``z``, ``y`` or
-``s``, of n frequencies or of the shape (ports, ports, n). ``z0`` is the resistance of ``s``.
+``s`` with the shape (n,) or (ports, ports, n) for n frequencies. ``z0`` is the reference resistance
+of ``s``.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ from kc2spice.bodies.readers.raw import (
 )
 from kc2spice.bodies.readers.text_table import TextTable, read_tables
 from kc2spice.bodies.readers.titles import (
-    complex_quantity,
     convert_column,
+    find_complex_quantity,
     is_frequency,
     read_title,
 )
@@ -53,9 +54,10 @@ from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
 MAX_BYTES = 20_000_000
-# largest number of frequencies; no analyser measures more, and a fit would take hours
+# largest number of frequencies; no analyser measures more frequencies, and a fit would take hours
 MAX_FREQUENCIES = 20_000
-# ratio of negative resistance to |Z| that noise does not explain if a tenth of the points exceed it
+# Largest ratio of negative resistance to |Z| that is noise. If a tenth of the points exceed it, the
+# part is active.
 ACTIVE_RATIO = 0.05
 _TOUCHSTONE_SUFFIX = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
@@ -67,9 +69,9 @@ _MATRIX_NAME = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # name of a matrix fil
 class MeasuredAdmittance(EqualByContent):
     """Admittance ``Y`` (n, ports, ports) [S] at frequencies ``f`` (n,) [Hz].
 
-    ``samples`` (n, ports, ports) are the ``quantity`` that was measured, ``"S"``, ``"Z"`` or
-    ``"Y"``; ``Y`` by default. ``reference`` (ports,) [Ohm] are the resistances of S. ``notes`` are
-    assumptions of the reader, ``columns`` the columns that it used.
+    ``samples`` (n, ports, ports) are values of the measured ``quantity``: ``"S"``, ``"Z"`` or
+    ``"Y"``; by default, they are ``Y``. ``reference`` (ports,) [Ohm] are the reference resistances
+    of S. ``notes`` are assumptions that the reader made, and ``columns`` the columns that it used.
     """
 
     name: str
@@ -84,7 +86,7 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Columns, number of points and frequency range that the reader found."""
+        """Text with the columns, the number of points and the frequency range of the file."""
         span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
         return f"{self.columns}; {span}" if self.columns else span
 
@@ -92,8 +94,9 @@ class MeasuredAdmittance(EqualByContent):
     def measured_noise(self) -> float:
         """Standard deviation of a component (real or imaginary part) of the measured quantity.
 
-        The noise of Z and Y is relative to each entry. The estimate is the median size of third
-        differences, which vanish for a smooth response. Entries that are zero have no noise.
+        The noise of Z and Y is relative to each entry. It is estimated from the median size of
+        third differences, which are almost zero for a smooth response. Entries that are zero have
+        no noise.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -105,7 +108,7 @@ class MeasuredAdmittance(EqualByContent):
     def admittance_noise(self) -> np.ndarray:
         """Standard deviation (n, ports, ports) [S] of one component of each entry of Y.
 
-        The deviation is the first-order effect of independent noise of the measured entries::
+        It is the first-order effect of independent noise in the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 
@@ -125,15 +128,15 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def noise(self) -> float:
-        """Relative standard deviation of a component of Y: the median over the samples."""
+        """Median over the samples of the relative standard deviation of a component of Y."""
         size = np.abs(self.Y)
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def relative_noise(self, norm: Norm) -> float:
-        """Noise (rms, complex) of Y in the norm of an error estimate.
+        """Return the rms noise of the complex Y in the norm of an error estimate.
 
-        *Pointwise* noise is relative to each entry, *peak* noise to the largest value of the entry.
-        The result is the noise of the noisiest entry.
+        In the norm *pointwise*, the noise is relative to each entry, and in the norm *peak* to the
+        largest size of the entry. The result is the noise of the entry with the largest noise.
         """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size
@@ -142,7 +145,7 @@ class MeasuredAdmittance(EqualByContent):
 
 
 def is_measured(path: Path) -> bool:
-    """Return whether a path is the name of a measured response."""
+    """Return whether a path has the name of a file with a measured response."""
     by_suffix = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix) or is_table(path)
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
@@ -153,7 +156,7 @@ def is_measured(path: Path) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file name belongs to a table and not to a matrix."""
+    """Return whether a file name is that of a table, not of a matrix."""
     return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 
@@ -192,7 +195,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
         raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT)
-    f, order = np.unique(f, return_index=True)  # in ascending order, without repetitions
+    f, order = np.unique(f, return_index=True)  # ascending frequencies without repetitions
     order = order[f > 0]
     if not len(order):
         hint = "export the file again, with the lines of numbers"
@@ -248,13 +251,14 @@ def load_tables(path: Path) -> Sequence[TextTable]:
 
     Raises
     ------
-    ValueError : see :func:`kc2spice.bodies.readers.text_table.read_tables`; or a file that is too
-    large.
+    ValueError : the errors of :func:`kc2spice.bodies.readers.text_table.read_tables`; or the file
+        is too large.
     """
     return _parse_tables(_read_text(path))
 
 
-# The content of a file determines which reader is called; all readers need the same tables.
+# The tables are stored, because several readers parse the same text to determine the kind of a
+# file.
 @lru_cache(maxsize=1)
 def _parse_tables(text: str) -> Sequence[TextTable]:
     return tuple(read_tables(text))
@@ -272,7 +276,7 @@ def _read_text(path: Path) -> str:
 
 
 def _require_no_shunt(shunt: float | None, content: str) -> None:
-    """Reject a shunt for a file that states an impedance."""
+    """Reject a shunt for a file that contains an impedance."""
     if shunt is None:
         return
     raise UsageError(
@@ -285,10 +289,10 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
 
 
 def _require_conducting(data: MeasuredAdmittance) -> None:
-    """Reject an open circuit, because deviations are relative to the admittance.
+    """Reject an open circuit, because deviations are divided by the admittance.
 
-    Deviations are relative to each admittance of one port, and to the largest admittance of several
-    ports.
+    For one port, deviations are divided by the admittance at each frequency, and for several ports
+    by the largest admittance.
     """
     still = np.einsum("fii->fi", data.Y) == 0
     one = still.shape[1] == 1
@@ -329,12 +333,12 @@ def _require_passive(data: MeasuredAdmittance) -> None:
 
 @lru_cache(maxsize=1)
 def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
-    """Load the numeric arrays of a MATLAB file without matrices of a model."""
+    """Load the numeric arrays of a MATLAB file that contains no matrices of a model."""
     return call_in_process(read_vectors, path)
 
 
 def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
-    """Read real vectors as columns, or a complex array as a response."""
+    """Convert real vectors (columns) or a complex array of a MATLAB file to a response."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
         raise ValueError(f"no variable is the frequency; the variables are {', '.join(variables)}")
@@ -360,7 +364,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     assert title is not None  # title of the frequency
     frequency = convert_column(title, variables[first].ravel())
     notes = [frequency.note] if frequency.note else []
-    P, R = P * _unit_factor(name), DEFAULT_REFERENCE
+    P, R = P * _find_unit_factor(name), DEFAULT_REFERENCE
     if quantity == "S":
         resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE_NAMES), None)
         R = R if resistance is None else float(resistance.ravel()[0].real)
@@ -375,11 +379,11 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
 
 def _has_quantity(name: str, quantity: Quantity) -> bool:
     """Return whether ``name`` is a usual name of a complex array of this quantity."""
-    kind = complex_quantity(name)
+    kind = find_complex_quantity(name)
     return kind is not None and kind[0] == quantity
 
 
-def _unit_factor(name: str) -> float:
+def _find_unit_factor(name: str) -> float:
     """Return the SI value of the unit in the name of an array; 1 without a unit."""
-    kind = complex_quantity(name)
+    kind = find_complex_quantity(name)
     return kind[1] if kind else 1.0

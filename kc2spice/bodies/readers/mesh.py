@@ -1,8 +1,8 @@
-"""Node coordinates and node sets from the input file of an FE tool.
+"""Node coordinates and node sets from input files of finite-element programs.
 
-Abaqus and CalculiX ``.inp`` (``*NODE``, ``*NSET``, one instance), Nastran bulk data (``GRID`` in
-the basic system), Ansys ``.cdb`` (``NBLOCK``, ``CMBLOCK``), or ``.csv`` with lines
-``node, x, y, z``.
+The formats are: Abaqus and CalculiX ``.inp`` (``*NODE``, ``*NSET``, one instance), Nastran bulk
+data (``GRID`` in the basic coordinate system), Ansys ``.cdb`` (``NBLOCK``, ``CMBLOCK``), and
+``.csv`` with lines ``node, x, y, z``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.codes import bulk_data_cards, parse_fortran_number
+from kc2spice.bodies.readers.codes import list_bulk_data_cards, parse_fortran_number
 from kc2spice.bodies.readers.raw import MAX_ROWS, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
@@ -23,11 +23,9 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 @dataclass(frozen=True, eq=False)
 class NodeMesh:
-    """Nodes of a mesh: numbers (n,), coordinates (n, 3), and node sets by name.
+    """Nodes of a mesh: numbers (n,), coordinates (n, 3), and node sets, keyed by name.
 
-    The coordinates are in the unit of the file.
-
-    Names of node sets are in capital letters.
+    The coordinates are in the unit of the file. The names of node sets are in capital letters.
     """
 
     where: str
@@ -36,7 +34,7 @@ class NodeMesh:
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
     def nodeset(self, name: str, where: str) -> np.ndarray:
-        """Node numbers of a set.
+        """Return the numbers of the nodes in a set.
 
         Raises
         ------
@@ -48,9 +46,9 @@ class NodeMesh:
         return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
-        """Find the node at ``place``, at most ``within`` away.
+        """Return the number of the node that is nearest to ``place``.
 
-        The default of ``within`` is 1e-6 of the size.
+        The distance must be at most ``within``, by default 1e-6 of the size of the mesh.
 
         Raises
         ------
@@ -72,7 +70,8 @@ def read_nodes(path: Path) -> NodeMesh:
 
     Raises
     ------
-    UsageError : the file is damaged, has several instances, transformed coordinates, or no node.
+    UsageError : the file is damaged, or contains several instances, transformed coordinates, or no
+        nodes.
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:
@@ -118,9 +117,9 @@ def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
 
 
 class _NodeSets(dict[str, list[int]]):
-    """Node sets, keyed by name, with a limit of their size.
+    """Node sets, keyed by name, with a limit of their total size.
 
-    The limit is necessary because a short text may define a large range.
+    The limit is necessary because a short text may define a large range of nodes.
     """
 
     def add(self, name: str, members: Sequence[int]) -> None:
@@ -171,7 +170,7 @@ def _parse_keywords(data: bytes) -> Content:
 def _parse_bulk_data(data: bytes) -> Content:
     """Parse bulk data of Nastran."""
     nodes: Nodes = {}
-    for cells in bulk_data_cards(data, "GRID"):
+    for cells in list_bulk_data_cards(data, "GRID"):
         number, system, *place = map(str.strip, cells[:5])
         if system not in ("", "0"):
             raise ValueError(f"grid {number} is in coordinate system {system}")
@@ -180,9 +179,9 @@ def _parse_bulk_data(data: bytes) -> Content:
 
 
 def _parse_blocks(data: bytes) -> Content:
-    """Parse the NBLOCK and CMBLOCK of nodes that Ansys writes.
+    """Parse the commands NBLOCK and CMBLOCK of nodes that Ansys writes.
 
-    NBLOCK has ``i,i,i,x,y,z`` in fixed fields.
+    A line of NBLOCK contains ``i,i,i,x,y,z`` in fields of fixed width.
     """
     nodes: Nodes = {}
     sets = _NodeSets()
@@ -212,7 +211,7 @@ def _parse_blocks(data: bytes) -> Content:
 
 
 def _parse_table(data: bytes) -> Content:
-    """Parse lines of a node and its coordinates; other lines may only precede them."""
+    """Parse lines with a node and its coordinates; other lines may occur only before them."""
     nodes: Nodes = {}
     for line in _decode_lines(data):
         cells = line.split(",")

@@ -14,17 +14,17 @@ from kc2spice.rom.affine import AffineTerm, ModelParameter
 from kc2spice.rom.pencil import Matrix
 
 
-def default_values(settings: Sidecar) -> dict[str, float]:
-    """Return the default of each parameter by its name."""
+def get_default_values(settings: Sidecar) -> dict[str, float]:
+    """Return the default values of the parameters, keyed by name."""
     return {name: entry.default for name, entry in settings.parameters.items()}
 
 
-def model_parameter(settings: Sidecar, name: str) -> ModelParameter:
-    """Make a parameter of the TOML file.
+def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
+    """Make a parameter from its table in the TOML file.
 
     Raises
     ------
-    UsageError : an empty range, or a default outside of the range.
+    UsageError : the range is empty, or the default is outside of the range.
     """
     entry = settings.parameters[name]
     try:
@@ -37,11 +37,11 @@ def model_parameter(settings: Sidecar, name: str) -> ModelParameter:
 
 
 def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
-    """Make a term from the ``[[terms]]`` table of a number, counted from 0.
+    """Make a term from the table ``[[terms]]`` with this ``number``, counted from 0.
 
     Raises
     ------
-    UsageError : a factor that is no expression of the parameters.
+    UsageError : the factor is not an expression of the parameters.
     """
     entry, where = settings.terms[number], f"{settings.where}: terms[{number}].factor"
     try:

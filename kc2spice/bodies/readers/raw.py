@@ -1,20 +1,20 @@
-"""Content of a matrix file: matrices by letter, and names of their rows.
+"""Content of matrix files: matrices keyed by letter, and the nodes of their rows.
 
-The functions of this module reject invalid sizes and indices before they allocate memory. The
-functions read ``.npz`` archives, without unpickling, and MATLAB files.
+The functions of this module read ``.npz`` archives, without unpickling, and MATLAB files. They
+reject invalid sizes and indices before they allocate memory.
 
-An archive contains dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
-the parts of a sparse matrix. The parts have the names of ``scipy.sparse.save_npz`` behind the
-letter and a dot (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; coo has
-``K.row``, ``K.col``). ``nodes`` (n,) and ``dofs`` (n,), integers, may name the rows. Readers in a
-separate process return the same form. MATLAB files are read in a child process, because the reader
-of scipy may crash on a corrupt file.
+An archive contains dense arrays with the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
+the parts of sparse matrices. The name of a part is the letter, a dot, and the name in
+``scipy.sparse.save_npz`` (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; in
+the format coo, ``K.row`` and ``K.col``). The integers ``nodes`` (n,) and ``dofs`` (n,) may identify
+the rows. Readers in a separate process return the same arrays. MATLAB files are read in a separate
+process, because the reader of scipy may crash on a corrupt file.
 
-A MATLAB file contains variables of these names, or one struct of COMSOL's ``mphmatrix`` or
+A MATLAB file contains variables with these names, or one struct of COMSOL's ``mphmatrix`` or
 ``mphstate``. COMSOL writes ``E u'' + D u' + K u = L``: its ``E`` is the mass, its ``D`` the
-damping, and its ``L`` the input matrix ``B``. The eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are
-used if they exist. ``mphstate`` returns ``Mc x' = MA x + MB u`` (or ``A``, ``B``) and ``y = C x +
-D u``.
+damping, and its ``L`` the input matrix ``B``. If the struct contains the matrices ``Ec``, ``Dc``,
+``Kc``, ``Lc`` after elimination of constraints, they are used. ``mphstate`` returns ``Mc x' = MA x
++ MB u`` (or ``A``, ``B``) and ``y = C x + D u``.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from kc2spice.rom.pencil import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
 NARROW_MATRICES = ("B", "C", "D")  # matrices with few rows or columns, stored as dense arrays
-MAX_ROWS = 5_000_000  # rows or columns
-MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
-MAX_DENSE = 50_000_000  # entries of a full matrix
-MAX_NARROW_ENTRIES = 25_000_000  # entries of B, C or D, which may exceed the size of their file
-MAX_BYTES = 4_000_000_000  # one file, unpacked
-# bytes of an unpacked file: a fixed amount, and a multiple of its packed size
+MAX_ROWS = 5_000_000  # largest number of rows or columns of a matrix
+MAX_ENTRIES = 200_000_000  # largest number of stored entries of one matrix
+MAX_DENSE = 50_000_000  # largest number of entries of a dense matrix
+MAX_NARROW_ENTRIES = 25_000_000  # largest number of entries of B, C or D as a dense matrix
+MAX_BYTES = 4_000_000_000  # largest size of an unpacked file
+# largest size of an unpacked file [bytes], and as a multiple of its packed size
 UNPACKED_LIMITS = 100_000_000, 100
 REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
-# messages of Python, numpy and zipfile as regular expressions, and what they mean for a file
+# regular expressions for messages of Python, numpy and zipfile, and their meaning for a file
 _PARSER_MESSAGES = {
     r"could not convert string to (?:float|complex): (.+)": r"\1 is not a number",
     r"invalid literal for int\(\) with base \d+: b?(.+)": r"\1 is not a whole number",
@@ -54,7 +54,8 @@ _PARSER_MESSAGES = {
 }
 _BOM = b"\xef\xbb\xbf"
 
-# Degrees of freedom, keyed by number: 1 to 6 as in all programs, others as in Abaqus or kc2spice.
+# Degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs; the other
+# numbers are those of Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
@@ -64,7 +65,7 @@ DOF_NUMBERS = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
 VOLT = DOF_NUMBERS["volt"]
-# the key of a row is its node times this number, plus the number of its degree of freedom
+# The key of a row is the node times this number, plus the number of the degree of freedom.
 _KIND_COUNT = 64
 _LARGEST_NODE = 2**40
 
@@ -78,14 +79,14 @@ T = TypeVar("T")
 def make_unusable_error(
     path: Path, got: object, expected: str, hint: str = REDO_HINT
 ) -> UsageError:
-    """The error for a file that cannot be used."""
+    """Make the error for a file that cannot be used."""
     return UsageError(
         "this file cannot be used", where=str(path), got=got, expected=expected, hint=hint
     )
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is a file; impossible names (NUL, too long) are not files."""
+    """Return whether ``path`` is a file; False for impossible names (NUL, too long)."""
     try:
         return path.is_file()
     except (ValueError, OSError):
@@ -93,7 +94,7 @@ def is_file(path: Path) -> bool:
 
 
 def make_missing_error(path: Path, what: str) -> UsageError:
-    """The error of a file that does not exist; ``what`` is the kind of file."""
+    """Make the error for a file that does not exist; ``what`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
     return UsageError(
         "this file does not exist", where=where, expected=what, hint="give the path of a file"
@@ -116,22 +117,21 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
 
 
 def limit_unpacked_bytes(path: Path) -> int:
-    """Limit of the unpacked size [bytes] of a packed file."""
+    """Return the largest permitted size [bytes] of the unpacked content of a file."""
     least, times = UNPACKED_LIMITS
     return min(MAX_BYTES, max(least, times * require_file(path).stat().st_size))
 
 
 def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
-    """Parse the bytes of a text file without its UTF-8 byte order mark by ``parse``."""
+    """Call ``parse`` with the bytes of a text file, without a UTF-8 byte order mark."""
     data = require_file(path).read_bytes().removeprefix(_BOM)
     return call_reader(path, expected, lambda: parse(data))
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
-    """Call ``read()``, and turn exceptions of parsers into errors about the file.
+    """Call ``read()``, and convert exceptions of parsers to errors about the file.
 
-    ``advice`` is the hint for a damaged file. Errors without a location get the path as their
-    location.
+    ``advice`` is the hint for a damaged file. If an error has no location, the path is added.
     """
     try:
         return read()
@@ -155,11 +155,11 @@ def _reword(reason: str) -> str:
 
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
-    """Reject a matrix with a too large declared size, before memory is allocated.
+    """Reject a matrix whose declared size is too large, before memory is allocated.
 
     Raises
     ------
-    UsageError : not two-dimensional, or above the limits of this module.
+    UsageError : the matrix is not two-dimensional, or exceeds the limits of this module.
     """
     shape = tuple(map(int, shape))
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
@@ -178,13 +178,15 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
 
 
 def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
-    """Raise an error if a matrix is not finite, and return it in double precision.
+    """Return a matrix in double precision, and raise an error if it cannot be used.
 
-    Matrices with few columns are dense, all others csc. Only a stiffness may be complex.
+    B, C and D become dense arrays, and all other matrices sparse csc arrays. Only a stiffness may
+    be complex.
 
     Raises
     ------
-    UsageError : the matrix cannot be used; the message states why.
+    UsageError : the matrix contains numbers that are not finite, or cannot be used for another
+        reason, which the message contains.
     """
     # the constructor of the coo format checks the indices
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
@@ -218,7 +220,9 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """Node and kind of degree of freedom (a key of ``DOFS``) of each row, (n,) integers.
+    """Node (n,) and kind of degree of freedom (n,) of each row of a matrix, as integers.
+
+    The kinds are keys of ``DOFS``.
 
     Raises
     ------
@@ -242,23 +246,20 @@ class Dofs:
         return len(self.node)
 
     def keys(self) -> np.ndarray:
-        """One integer per row.
-
-        Return one integer for each row; rows with the same node and kind have the same integer.
-        """
+        """Return one integer for each row, which identifies node and kind of degree of freedom."""
         return np.asarray(self.node * _KIND_COUNT + self.kind)
 
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """Matrices by letter, as a file contains them.
+    """Matrices as a file contains them.
 
     Parameters
     ----------
-    matrices : matrices by letter
-    dofs : degrees of freedom of the rows, if the file names them
+    matrices : matrices, keyed by letter
+    dofs : nodes and degrees of freedom of the rows, if the file contains them
     fixed : rows that the exporting program fixed
-    files : the file of each matrix that has a separate one
+    files : file of each matrix that is in a separate file
     """
 
     matrices: Mapping[str, Matrix]
@@ -267,17 +268,22 @@ class Raw:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def row_keys(table: np.ndarray) -> Triple:
-    """Compute keys of rows and columns of lines (node, freedom, node, freedom, value)."""
+def compute_row_keys(table: np.ndarray) -> Triple:
+    """Compute keys of rows and columns from lines (node, dof, node, dof, value).
+
+    A dof is the number of a degree of freedom.
+    """
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
     return row.keys(), column.keys(), table[:, 4]
 
 
-def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Make matrices with common rows from the results of :func:`row_keys` by letter.
+def make_matrices_by_letter(
+    triples: Mapping[str, Triple],
+) -> tuple[dict[str, sparse.csc_array], Dofs]:
+    """Make matrices with common rows from results of :func:`compute_row_keys`, keyed by letter.
 
-    Rows are sorted by node, then by degree of freedom. Gaps in the numbering leave no empty rows.
+    Rows are sorted by node, then by degree of freedom. Numbers that do not occur have no rows.
     """
     rows, columns, _ = zip(*triples.values(), strict=True)
     keys = np.unique(np.concatenate([*rows, *columns]))
@@ -289,12 +295,11 @@ def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.
     return result, Dofs(keys // _KIND_COUNT, keys % _KIND_COUNT)
 
 
-def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Complete a matrix that contains each pair off the diagonal once.
+def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
+    """Complete a symmetric matrix of which only one entry of each pair is stored.
 
-    The stored entry may be on either side.
-
-    A matrix that contains any pair twice is returned unchanged.
+    The stored entry may be above or below the diagonal. If both entries of any pair are stored, the
+    matrix is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
@@ -302,8 +307,9 @@ def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
 
 
 _NAME_ARRAYS = ("nodes", "dofs")
-_CPU_LIMITS = 8, 1_000_000  # CPU seconds for a small file; bytes per second for a large file
-_MEMORY_BYTES = 1_300_000_000  # bytes, including libraries, in addition to the content of the file
+# CPU time [s] for a small file, and bytes per second for a large file
+_CPU_LIMITS = 8, 1_000_000
+_MEMORY_BYTES = 1_300_000_000  # memory of the process in addition to the content of the file
 _OTHER_CLASSES = ("cell", "object", "char", "function", "opaque")
 # Fields of COMSOL structs, keyed by letter; the first existing field is used.
 _STATE_FIELDS = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
@@ -313,12 +319,12 @@ _SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B
 def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     """Read the matrices of the archive at ``path``.
 
-    ``requested`` are names of matrices in the archive, by letter, that differ from the letters.
+    ``requested`` maps letters to names of matrices in the archive, if they differ from the letters.
 
     Raises
     ------
-    UsageError, ValueError : the file is missing, damaged, too large, contains Python objects, or
-    its parts do not form a matrix.
+    UsageError, ValueError : the file is missing, damaged or too large; it contains Python objects;
+        or its parts are not the parts of a matrix.
     """
 
     letters = {name: letter for letter, name in requested.items()}
@@ -369,11 +375,9 @@ def list_member_names(path: Path) -> list[str]:
 def call_in_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """Call ``function(path, **options)`` in a separate process.
+    """Call ``function(path, **options)``, which returns arrays, in a separate process.
 
-    The function returns arrays.
-
-    The size of the file limits the memory and the time of this process.
+    The limits of memory and time of this process depend on the size of the file.
 
     Raises
     ------
@@ -396,7 +400,7 @@ def make_unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[st
 
 
 def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
-    """Pack a matrix, or the numbers of rows, as arrays of an archive."""
+    """Convert a matrix, or the numbers of rows, to arrays of an archive."""
     if not sparse.issparse(matrix):
         return {name: np.asarray(matrix)}
     csc = matrix.tocsc()
@@ -405,7 +409,7 @@ def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
 
 
 def _unpack_raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
-    """Unpack the matrices of an archive's arrays."""
+    """Convert the arrays of an archive to matrices."""
     parts: dict[str, dict[str, np.ndarray]] = defaultdict(dict)
     for key, array in arrays.items():
         name, _, part = key.partition(".")
@@ -444,7 +448,7 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 
 
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Read the matrices of a MATLAB file as arrays of an archive.
+    """Return the matrices of a MATLAB file as arrays of an archive.
 
     ``requested`` is ignored.
 
@@ -474,7 +478,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
 
 
 def read_vectors(path: str) -> dict[str, np.ndarray]:
-    """Read the numeric full arrays of a MATLAB file with a measured response.
+    """Read the dense numeric arrays of a MATLAB file with a measured response.
 
     The result is empty if the file contains the matrices of a model.
 
@@ -492,12 +496,12 @@ def read_vectors(path: str) -> dict[str, np.ndarray]:
 
 
 def _list_variables(path: str) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Shape and class of each variable of a MATLAB file, by its name."""
+    """Return the shape and class of each variable of a MATLAB file, keyed by name."""
     return {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
 
 
 def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
-    """Load the variables of these names, whose full arrays have the shapes ``full``."""
+    """Load the variables with these names; ``full`` are the shapes of dense arrays among them."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > limit_unpacked_bytes(Path(path)):
         raise ValueError(f"its variables need {size:g} bytes, which exceeds the limit")
@@ -508,7 +512,7 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return matrix.tocsc()
     matrix = drop_zero_imaginary(np.asarray(matrix))
-    if name in _NAME_ARRAYS:  # numbers in MATLAB are doubles
+    if name in _NAME_ARRAYS:  # all numbers in MATLAB are doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} contains fractions")
         return matrix.astype(np.int64)
@@ -516,13 +520,13 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
 
 
 def drop_zero_imaginary(matrix: Any) -> Any:
-    """Return the real part if the imaginary part is zero, as after a complex solution."""
+    """Return the real part of a matrix if its imaginary part is zero, otherwise the matrix."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 
 
 def _select_fields(value: Any, name: str) -> dict[str, Any]:
-    """Return the fields of a struct of COMSOL by their letters."""
+    """Return the fields of a struct of COMSOL, keyed by the letters of this package."""
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}
@@ -548,8 +552,8 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(
             f"struct {name} has scaled unknowns (uscale): set the scaling of the solver to None"
         )
-    # A problem without mass is of first order and keeps its E; without a load, the TOML file
-    # defines the ports.
+    # A model without mass is a first-order model with the matrix E. If a struct contains no loads,
+    # the TOML file defines the ports.
     empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}
     if "M" not in result or "M" in empty:
         empty -= {"E"}

@@ -99,7 +99,7 @@ from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
-# degrees of freedom without a direction
+# degrees of freedom without a direction, keyed by kind of port
 SCALAR_DOFS = {ELECTRICAL.port: "volt", THERMAL.port: "temp"}
 DIRECTED_KINDS = (TRANSLATION.port, ROTATION.port)  # kinds that act on nodes along an axis
 # kinds that are defined by a column of B
@@ -108,7 +108,7 @@ _AXIS_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0
 
 
 def _require_printable(value: str) -> str:
-    """Require printable characters, because netlists contain these names."""
+    """Require printable characters in a name, because netlists contain the name."""
     if not value.isprintable():
         raise invalid_value_error(
             "this text is not a valid name", "printable characters in one line"
@@ -117,7 +117,7 @@ def _require_printable(value: str) -> str:
 
 
 def _require_word(value: str) -> str:
-    """Require a single word, because the header of a netlist contains the unit."""
+    """Require that a unit is a single word, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
         raise invalid_value_error("this text is not a unit", "one word")
     return value
@@ -181,7 +181,7 @@ Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]  # H: structur
 
 
 class NodeSelection(Section):
-    """Nodes: by number, by set, or by coordinate."""
+    """Selection of nodes by number, by node set, or by coordinates."""
 
     node: Node | None = None
     nodes: tuple[Node, ...] | None = Field(None, min_length=1)
@@ -210,7 +210,7 @@ class NodeSelection(Section):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Numbers of the nodes that are named by number."""
+        """Numbers of the nodes that are selected by number."""
         return (self.node,) if self.node is not None else self.nodes or ()
 
 
@@ -230,7 +230,7 @@ class Fixed(NodeSelection):
 
 
 class PortEntry(NodeSelection):
-    """Table ``[[ports]]``: the loaded nodes and a direction."""
+    """Table ``[[ports]]``: nodes and direction of a port, or numbers of its column and row."""
 
     name: Name
     kind: Literal[PORT_KINDS]  # type: ignore[valid-type]
@@ -308,7 +308,7 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Return the degrees of freedom that the port acts on, and their shares."""
+        """Degrees of freedom on which the port acts, and their shares."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -323,9 +323,9 @@ class PortEntry(NodeSelection):
 
 
 class MatrixDamping(Section):
-    """Damping ``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz].
+    """Damping ``E = alpha M + beta K``; a damping ratio at a frequency [Hz] may give beta.
 
-    ``loss_factor`` is the factor of structural damping, ``K (1 + j loss_factor)``.
+    ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
     """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
@@ -346,7 +346,7 @@ class MatrixDamping(Section):
 
     @property
     def rayleigh(self) -> Rayleigh:
-        """Alpha [1/s] and beta [s]."""
+        """Factors alpha [1/s] and beta [s] of ``E = alpha M + beta K``."""
         if self.ratio is None or self.at is None:
             return self.alpha, self.beta
         return 0.0, self.ratio / (math.pi * self.at)
@@ -363,9 +363,9 @@ class ParameterEntry(Section):
 
 
 class TermEntry(Section):
-    """Table ``[[terms]]``: a matrix, its location, and the factor that multiplies it.
+    """Table ``[[terms]]``: a matrix, its location, and the factor of the matrix.
 
-    Without ``file`` and ``name`` the factor multiplies the matrix of the model.
+    Without ``file`` and ``name``, the factor multiplies the matrix of the model.
     """
 
     matrix: Literal["M", "K", "E"]
@@ -375,7 +375,7 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of ``NAME.toml``; the defaults apply to a model without a file."""
+    """Content of ``NAME.toml``; the defaults apply to a model without this file."""
 
     help_command: ClassVar[str] = "docs/reference/matrices.md"
 
@@ -398,11 +398,11 @@ class Sidecar(Section):
 
     @property
     def where(self) -> str:
-        """File name for errors that occur later."""
+        """Name of the TOML file, for errors that occur after it was read."""
         return self._where
 
     def of(self, entry: NodeSelection) -> str:
-        """Return the file and the table of ``entry`` for error messages."""
+        """Return the name of the file and of the table ``entry``, for error messages."""
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):
                 if item is entry:
@@ -411,7 +411,7 @@ class Sidecar(Section):
         return self.where
 
     @model_validator(mode="after")
-    def _require_consistent(self) -> Sidecar:
+    def _require_consistent_keys(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
             raise invalid_value_error(
@@ -443,8 +443,8 @@ def read_sidecar(path: Path) -> Sidecar:
 
     Raises
     ------
-    UsageError : the file is missing, not TOML or too long, a key is unknown, a value has the wrong
-    type, or a name occurs twice; the message contains file and key.
+    UsageError : the file is missing, too long or not in the TOML format; a key is unknown; a value
+        has the wrong type; or a name occurs twice. The message contains file and key.
     """
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected)

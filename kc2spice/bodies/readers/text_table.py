@@ -1,8 +1,8 @@
-"""Tables in a text: rows of numbers, titles above them, and merged blocks.
+"""Tables in a text: rows of numbers with titles above the rows, and merged blocks.
 
-The input is the text of a file, the output :class:`TextTable` records, longest first. Semicolons,
-tabs, commas or blanks separate fields. Commas that do not separate fields are decimal commas, or
-separate thousands in numbers with decimal points. The module
+The input is the text of a file, and the output is a list of :class:`TextTable`, the longest table
+first. Semicolons, tabs, commas or blanks separate fields. Commas that do not separate fields are
+decimal commas, or separate thousands in numbers with decimal points. The module
 :mod:`kc2spice.bodies.readers.complex_response` interprets the tables.
 """
 
@@ -41,23 +41,24 @@ SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate th
 _LINE_WITH_COMMA = re.compile(".*,.*")  # a comma in a line of text is not a separator
 MIN_COLUMNS = 2
 MIN_ROWS = 2
-MAX_LINES = 100_000  # lines of a file: five times the accepted number of frequencies
-MAX_COLUMNS = 200  # fields of a line
-MAX_LINE_LENGTH = 4000  # characters of a row or of a line of titles
-COMMENT_LINES = 300  # lines above a table that may state units
-TITLE_LINES = 40  # lines above the numbers in which their titles are searched
+MAX_LINES = 100_000  # largest number of lines: five times the accepted number of frequencies
+MAX_COLUMNS = 200  # largest number of fields of a line
+MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
+COMMENT_LINES = 300  # number of lines above a table in which units are searched
+TITLE_LINES = 40  # number of lines above a table in which titles are searched
 MAX_OMITTED_SHARE = 0.05  # largest share of rows with a word instead of a number
-MAX_HEADER_LENGTH = 80  # characters of a header that an error quotes
-MAX_PHASE_DEGREES = 180.0  # degrees, the largest size of a phase
+MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
+MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 
 
 @dataclass(frozen=True, eq=False)
 class TextTable(EqualByContent):
     """Columns of ``numbers`` (n,) under ``titles``.
 
-    The titles are None if no line contains as many words as the rows. ``lines`` are the first and
-    the last line of the numbers, from 1. ``header`` is the last line above them, and ``comments``
-    are all lines above them. ``notes`` are assumptions of the reader.
+    The titles are None if no line contains as many words as the rows have numbers. ``lines`` are
+    the first and the last line of the numbers, counted from 1. ``header`` is the last line above
+    the numbers, and ``comments`` are all lines above the numbers. ``notes`` are assumptions that
+    the reader made.
     """
 
     titles: tuple[str, ...] | None
@@ -74,19 +75,19 @@ class TextTable(EqualByContent):
 
     @property
     def place(self) -> str:
-        """Lines of the numbers, for messages."""
+        """Text with the line numbers of the table, for messages."""
         return f"lines {self.lines[0]} to {self.lines[1]}"
 
 
 def read_tables(text: str) -> list[TextTable]:
-    """Read the tables of a text, the longest first.
+    """Read the tables of a text, the longest table first.
 
-    Blocks with the same frequencies are joined into one table.
+    Blocks with the same frequencies are merged to one table.
 
     Raises
     ------
-    ValueError : no table; too many lines or columns; a comma that may separate thousands or
-        decimals; rows with words.
+    ValueError : there is no table; there are too many lines or columns; a comma may separate
+        thousands or decimals; or too many rows contain words.
     """
     count = max(text.count("\n"), text.count("\r"))
     if count > MAX_LINES:
@@ -122,9 +123,9 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Range of lines with the same number of fields, some of which are rows of numbers.
+    """Range of lines with the same number of fields, most of which contain only numbers.
 
-    ``rows`` is the number of rows of numbers.
+    ``rows`` is the number of lines that contain only numbers.
     """
 
     first: int
@@ -144,7 +145,7 @@ def _split_fields(line: str, separator: str | None) -> list[str]:
 
 
 def _is_number(word: str) -> bool:
-    """Return whether a word is a number, with a decimal comma or complex."""
+    """Return whether a word is a number, also with a decimal comma, or a complex number."""
     plain = word.replace(",", ".", 1).replace("\u2212", "-")
     return bool(
         _NUMBER_PATTERN.fullmatch(plain)
@@ -172,7 +173,7 @@ def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
 
 
 def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Find every range of rows with the same width, some of which may contain a word."""
+    """Find all ranges of rows with the same number of fields; a few rows may contain words."""
     kinds = [_measure_line(line, separator) for line in lines]
     # blank lines do not end a table
     filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]
@@ -195,7 +196,7 @@ def _describe_word(lines: list[str]) -> str:
 
 
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
-    """Make the table of a run of rows, whose titles are below line ``end``."""
+    """Make the table of a range of rows, whose titles are after line ``end``."""
     short = (
         line[:MAX_LINE_LENGTH] for line in lines[max(end, run.first - COMMENT_LINES) : run.first]
     )
@@ -224,7 +225,9 @@ def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -
 def _describe_omitted_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
-    """Describe the rows that contain a word; ``lines`` of the rows count from 0.
+    """Describe the rows that are omitted because they contain a word.
+
+    ``lines`` are the line numbers of the rows, counted from 0.
 
     Raises
     ------
@@ -248,11 +251,11 @@ def _describe_omitted_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find ``count`` titles in the nearest line that contains a frequency or a time.
+    """Find the titles of ``columns`` in the lines above a table.
 
-    Otherwise the last line contains the titles.
-
-    A line of units may follow them. With ``index`` the first column may have no title.
+    They are in the nearest line with the title of a frequency or a time, otherwise in the last
+    line. A line of units may follow the titles. If ``index`` is true, the first column may have no
+    title.
     """
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
@@ -277,12 +280,12 @@ def _is_unit(word: str) -> bool:
 
 
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
-    """Split a line into ``count`` titles; None if no separator gives this number of titles."""
+    """Split a line into titles of all ``columns``; None if no separator gives enough titles."""
     splits = [_split_fields(line, separator)]
-    if separator is None:  # blanks also separate the words of one title
+    if separator is None:  # blanks also separate the words of a single title
         splits += map(partial(_split_fields, line), SEPARATORS)
         splits.append(re.findall(r"[^\s()\[\]][^()\[\]]*[(\[][^()\[\]]*[)\]]", line))
-    # titles in columns of fixed width, above numbers with any separator
+    # titles may be in columns of fixed width, whatever separates the numbers
     spaced = re.split(r"\s{2,}", line.strip().strip('"').strip())
     if any(map(is_frequency, spaced)):
         splits.append(spaced)
@@ -325,10 +328,10 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Name the numbers of a trace by the ``FORMAT`` in the file, and add a note.
+    """Return titles for the numbers of a trace according to the ``FORMAT`` in the file.
 
-    If a trace is a real quantity, its second number is zero. If the first trace is |Z| or |Y|, the
-    second trace may be the phase.
+    The result also contains a note. If a trace is a real quantity, its second number must be zero.
+    If the first trace is |Z| or |Y|, the second trace may be the phase.
 
     Raises
     ------
@@ -366,7 +369,7 @@ def _apply_format(
 
 
 def _append_block(before: TextTable, table: TextTable) -> TextTable:
-    """Append the rows of a further block, which has no titles, to a table."""
+    """Append the rows of a block without titles to the table before it."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
     note = f"{table.place} have no titles: taken as further rows of the table above"
@@ -422,11 +425,11 @@ def _find_frequency_column(table: TextTable) -> int | None:
 def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np.ndarray:
     """Parse the numbers of one column of a table with these ``rows``.
 
-    Commas are decimal, or separate thousands in a file with points.
+    Commas are decimal commas, or separate thousands if the file contains decimal points.
 
     Raises
     ------
-    ValueError : neither is certain.
+    ValueError : the meaning of a comma is not certain.
     """
     text = "\n".join(words).replace("\u2212", "-")
     text = re.sub("(?<=\\d)[' \u00a0\u202f](?=\\d)", "", text)

@@ -1,9 +1,9 @@
 """Thermal transients from tables: temperature or thermal impedance over time.
 
-A table has a column of the time and one column of :data:`TRANSIENT_QUANTITIES` in
+A table has a column of times and a column of one of the :data:`TRANSIENT_QUANTITIES` in
 :mod:`kc2spice.bodies.readers.meanings`. The power is switched on or off at the time zero. The input
-is the path of a table, the output a :class:`ThermalTransient`, which
-:mod:`kc2spice.rom.transient_fit` fits.
+is the path of a table, and the output is a :class:`ThermalTransient`, to which
+:mod:`kc2spice.rom.transient_fit` fits a network.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-# smallest number of times after the step: two time constants with their resistances, and the noise
+# Smallest number of times after the step, for two time constants with their resistances and for an
+# estimate of the noise.
 MIN_TIMES = 8
 NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
 EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"
@@ -37,8 +38,8 @@ EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Z
 class ThermalTransient(EqualByContent):
     """Temperatures [K] or thermal impedances [K/W] (n,) at increasing times (n,) [s].
 
-    ``quantity`` is ``"temperature"`` or ``"zth"``. ``notes`` are assumptions of the reader and
-    ``columns`` the columns that it used.
+    ``quantity`` is ``"temperature"`` or ``"zth"``. ``notes`` are assumptions that the reader made,
+    and ``columns`` the columns that it used.
     """
 
     name: str
@@ -51,13 +52,13 @@ class ThermalTransient(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Columns, number of points and range of times."""
+        """Text with the columns, the number of points and the range of times."""
         span = f"{len(self.time)} points from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
         return f"{self.columns}; {span}"
 
 
 def is_transient(path: Path) -> bool:
-    """Return whether a file is a table with a time and without a frequency."""
+    """Return whether a file is a table with a column of times and none of frequencies."""
     if not is_table(path) or not is_file(path):
         return False
     try:
@@ -72,7 +73,7 @@ def read_transient(path: Path) -> ThermalTransient:
     Raises
     ------
     UsageError : the table has no temperature, two different temperatures, too few times, or numbers
-    that are not finite.
+        that are not finite.
     """
 
     def read_response() -> ThermalTransient:
@@ -100,7 +101,7 @@ def _has_time(table: TextTable) -> bool:
 
 
 def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
-    """Find the time and the temperature or the thermal impedance in a table."""
+    """Find the columns of the time and of the temperature or thermal impedance in a table."""
     titles = table.titles or ()
     by_quantity = classify_columns(titles, table.numbers).by_quantity
     times = by_quantity["time"]

@@ -1,8 +1,8 @@
-"""Titles of columns: quantity, sign and unit, and the column in SI.
+"""Meaning of the titles of columns: quantity, sign and unit; and conversion of columns to SI.
 
-A title of an instrument, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is taken
-apart into a sign, words and a unit; :mod:`kc2spice.bodies.readers.meanings` lists the words and
-units. Columns without a known meaning are not used.
+A title of an instrument, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is divided
+into a sign, words and a unit. :mod:`kc2spice.bodies.readers.meanings` lists the words and units.
+Columns without a known meaning are not used.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from kc2spice.core.equality import EqualByContent
 _GREEK_OHM = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "º": "°", "−": "-", "–": "-", "′": "'", "″": "''"}
 )
-# UTF-8 text that a program has encoded twice
+# letters in UTF-8 text that a program has encoded twice, and the original letters
 _DOUBLE_ENCODED = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}
 COMMENT_MARKS = "#%!*; "  # characters before a title
-MAX_TITLE_LENGTH = 200  # characters
-# Title followed by a unit: f/Hz, zth_k_per_w.
+MAX_TITLE_LENGTH = 200  # largest number of characters of a title
+# pattern of a title that ends with a unit: f/Hz, zth_k_per_w
 _TRAILING_UNIT = re.compile(
     r"(.*?\S)\s*(?:/|[\s_,]+)\s*(rad/s|\S{1,2}/W|K_(?:per_)?W|[^\s_/,()\[\]]+)", re.IGNORECASE
 )
@@ -48,7 +48,7 @@ _TRAILING_UNIT = re.compile(
 
 @dataclass(frozen=True)
 class Unit:
-    """Unit with its spelling, the quantity that it ``measures`` and its ``value`` in SI."""
+    """Unit: its spelling ``text``, the quantity that it ``measures``, and its SI ``value``."""
 
     text: str
     measures: str
@@ -67,7 +67,7 @@ class Title:
 
 @dataclass(frozen=True, eq=False)
 class Column(EqualByContent):
-    """The ``values`` (n,) of a quantity in SI, angles in rad."""
+    """Column with ``values`` (n,) of a quantity in SI units; angles are in rad."""
 
     title: Title
     values: np.ndarray
@@ -82,11 +82,11 @@ class Column(EqualByContent):
 
 
 def parse_units(text: str) -> list[Unit]:
-    """Return the units that ``text`` may mean; ``s`` is siemens, ``f`` farad.
+    """Return the units that ``text`` may mean; ``s`` is siemens, and ``f`` is farad.
 
     Raises
     ------
-    ValueError : the letter case of ``mhz`` or ``MF`` is ambiguous.
+    ValueError : the letter case makes the prefix ambiguous, such as in ``mhz`` or ``MF``.
     """
     plain = _clean_text(text).replace(" ", "")
     result = []
@@ -96,15 +96,15 @@ def parse_units(text: str) -> list[Unit]:
             cased = base != base.lower()
             if base != (spelled if cased else spelled.lower()) or (not base and plain):
                 continue
-            factor = _prefix_factor(prefix, spelled, measures, text)
+            factor = _find_prefix_factor(prefix, spelled, measures, text)
             if factor is None or (prefix and base in UNITS_WITHOUT_PREFIX):
                 continue
             result.append(Unit(text.strip(), measures, factor * value))
     return result
 
 
-def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
-    """Return the factor of a prefix; None for other text."""
+def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
+    """Return the factor of an SI prefix, None if the text is not a prefix."""
     if len(prefix) > 1:
         return None
     small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
@@ -127,13 +127,13 @@ def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | 
 def _clean_text(text: str) -> str:
     """Replace unusual letters of a title or unit, and remove quotes.
 
-    A text is cut after :data:`MAX_TITLE_LENGTH` characters.
+    The text is shortened to :data:`MAX_TITLE_LENGTH` characters.
     """
     text = text[:MAX_TITLE_LENGTH]
     for wrong, letter in _DOUBLE_ENCODED.items():
         text = text.replace(wrong, letter)
     text = text.strip()
-    # removes the quotes of a title, but not the primes of Z' and Z"
+    # the quotes of a title are removed, but not the primes of Z' and Z"
     text = text[1:].removesuffix('"') if text.startswith('"') else text
     return text.translate(_GREEK_OHM).strip()
 
@@ -143,7 +143,7 @@ def read_title(text: str) -> Title | None:
 
     Raises
     ------
-    ValueError : a unit that does not belong to the quantity, or a unit with an ambiguous prefix.
+    ValueError : the unit does not belong to the quantity, or its prefix is ambiguous.
     """
     plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
@@ -173,7 +173,7 @@ def read_title(text: str) -> Title | None:
 
 
 def _describe_quantity(meaning: ColumnKind) -> str:
-    """Return a quantity with its default unit, for messages."""
+    """Return the name of a quantity with its default unit, for messages."""
     label = QUANTITY_LABELS.get(meaning.quantity, meaning.quantity)
     return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
 
@@ -201,10 +201,10 @@ def is_abscissa(text: str) -> bool:
     return title is not None and title.meaning.quantity == "time"
 
 
-def complex_quantity(text: str) -> tuple[Quantity, float] | None:
-    """Return quantity and unit of a column of complex numbers such as ``Z (kOhm)``.
+def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
+    """Return the quantity of a column of complex numbers, and the SI value of its unit.
 
-    The unit is its value in SI. The result is None for other titles.
+    An example of a title is ``Z (kOhm)``. The result is None for other titles.
     """
     for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT_MARKS).strip()):
         for quantity, names in COMPLEX_NAMES.items():
@@ -226,7 +226,7 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
             yield title[: match.start()] + " " + title[match.end() :], match[1]
             return
     tail = _TRAILING_UNIT.fullmatch(title)
-    if tail and _units_of_word(tail[2]):
+    if tail and _find_units_of_word(tail[2]):
         yield tail[1], tail[2]
     bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
     if bracket:  # Re(Z) is a quantity; frequency (rpm) has an unknown unit
@@ -236,13 +236,13 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
         yield title, None
 
 
-def _units_of_word(text: str) -> list[Unit]:
-    """Return the units that a word may mean, if it is not part of a name."""
+def _find_units_of_word(text: str) -> list[Unit]:
+    """Return the units that a word may mean, none if the word is a part of a name."""
     return parse_units(text) if text not in ("-", "1") else []
 
 
 def _normalise_words(stem: str) -> str:
-    """Join the words of a title in lower case, without words that instruments add."""
+    """Return the words of a title joined in lower case, without words that instruments add."""
     low = stem.lower()
     for mark, part in PRIMES:
         low = re.sub(rf"([zy])\s*{mark}", rf"\1{part}", low)
@@ -251,7 +251,7 @@ def _normalise_words(stem: str) -> str:
 
 
 def convert_column(title: Title, values: np.ndarray) -> Column:
-    """Return the column of a title with its ``values`` (n,) in SI.
+    """Return the column of a title with its ``values`` (n,) converted to SI units.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def convert_column(title: Title, values: np.ndarray) -> Column:
     """
     unit, note, name = title.unit, "", title.text.strip()
     if unit is None:
-        unit = _assumed_unit(title, values)
+        unit = _assume_unit(title, values)
         if unit.text:
             note = f"{name}: no unit, taken as {unit.text}"
     elif unit.text[-1:] in REPLACED_LETTERS:
@@ -273,7 +273,7 @@ def convert_column(title: Title, values: np.ndarray) -> Column:
     return Column(title, title.sign * scaled, note, unit.text or "1")
 
 
-def _assumed_unit(title: Title, values: np.ndarray) -> Unit:
+def _assume_unit(title: Title, values: np.ndarray) -> Unit:
     """Return the unit of a column without a stated unit."""
     measures = title.meaning.measures[0]
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):

@@ -27,10 +27,10 @@ def _require_numbers(words: list[str], text: str) -> None:
 
 
 def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
-    """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): The parameters are S, Y or Z in the form
-    RI, MA or DB.
+    """Parse a text in the format Touchstone 1 or 2 (IBIS Open Forum, 2009).
 
-    The first option line applies; the standard requires that all further option lines are ignored.
+    The parameters are S, Y or Z in the form RI, MA or DB. Only the first option line is used,
+    because the standard requires that all further option lines are ignored.
     """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
@@ -66,7 +66,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
     if kind in "gh" or not 1 <= n <= 64 or shape not in (["full"], ["lower"], ["upper"]):
         raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
-    symmetric = shape != ["full"]  # one triangle, row by row
+    symmetric = shape != ["full"]  # only one triangle is stored, row by row
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
     _require_numbers(words, text)
     values = np.array(list(map(float, words)))
@@ -91,7 +91,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     if kind == "s":
         _require_driven(P)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    # version 1 normalises all ports to the first reference
+    # in version 1, Y and Z of all ports are relative to the first reference resistance
     if kind != "s" and "version" not in keys:
         P = P * z0[0] if kind == "z" else P / z0[0]
     summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
@@ -112,11 +112,12 @@ def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
 
 
 def _require_driven(S: np.ndarray) -> None:
-    """Raise an error if a port was not driven: some analysers write zeros for such ports.
+    """Raise an error if a port was not driven, because some analysers then write zeros.
 
     Raises
     ------
-    UsageError : all reflections and transmissions of a port are zero, and no other port amplifies.
+    UsageError : all reflections and transmissions of a port are zero, and no transmission of other
+        ports exceeds one.
     """
     n = S.shape[1]
     silent = np.flatnonzero(~S.any(axis=(0, 1)))
@@ -138,7 +139,7 @@ def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> st
 
     Raises
     ------
-    ValueError : more than one option states it.
+    ValueError : the option line contains several of the choices.
     """
     present = [word for word in words if word in choices]
     if len(present) > 1:

@@ -140,16 +140,16 @@ def _compare_with_piston(
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
         depth = facing.volume / motion.area
-        masses = motion.near_field_masses(depth, float(numbers[main]))
+        masses = motion.bound_near_field_masses(depth, float(numbers[main]))
         # The modes are normalised to a modal mass of 1.
         return replace(result, shift=float(facing.fluid.density * masses[main] / 2))
     radius = facing.radiation.surface_radius
-    ratios = [motion.power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
+    ratios = [motion.compute_power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
     power = 10 * np.log10(ratios)
     worst, unbaffled = int(np.abs(power).argmax()), None
     small = numbers[main] * radius <= LARGEST_DIPOLE_KA
     if motion.axisymmetric and small and facing.radiation.shape == "baffled_piston":
-        unbaffled = 20 * math.log10(motion.unbaffled_ratios(numbers[main])[main])
+        unbaffled = 20 * math.log10(motion.compute_unbaffled_ratios(numbers[main])[main])
     return replace(
         result,
         power=float(power[main]),

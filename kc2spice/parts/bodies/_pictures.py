@@ -136,10 +136,10 @@ def draw_deformed(
     ``z`` (n,) are the displacements, and ``voltages`` (e,) are the electrode voltages. The colour
     shows the largest principal stress.
     """
-    from kc2spice.bodies.fields import evaluate_at_nodes, largest_principal_stress
+    from kc2spice.bodies.fields import compute_largest_principal_stress, evaluate_at_nodes
 
     result = evaluate_at_nodes(device, z, voltages)
-    stress = 1e-6 * largest_principal_stress(result["stress"])
+    stress = 1e-6 * compute_largest_principal_stress(result["stress"])
     moved, factor = _enlarge(device, result["displacement"])
     at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"

@@ -214,13 +214,13 @@ class SoundingBody(LinearBody[FieldKeysT]):
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Return the mean displacement [m] of each face with a volume velocity in the results."""
-        from kc2spice.bodies.device import area_name
+        from kc2spice.bodies.device import get_area_name
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
         result, model = {}, build.model(part, LinearModel)
         for port in self.used_ports(part, build.scene):
             flow = flow_name(part.name, model.ports, port) if port.domain is ACOUSTIC else ""
-            area = model.facts.get(area_name(port.name))
+            area = model.facts.get(get_area_name(port.name))
             if flow in waves and area:
                 # A positive volume velocity into the pin moves the face inwards.
                 result[port.name] = -integrate_flow(waves, waves[flow]) / area

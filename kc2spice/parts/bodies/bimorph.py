@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box, outer_faces
+from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import (
     Count,
@@ -204,7 +204,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         ports,
         fixed,
         masses=[(beam.tip_mass, end)],
-        faces=outer_faces(((0.0, length), (0.0, width), (0.0, top))),
+        faces=list_outer_faces(((0.0, length), (0.0, width), (0.0, top))),
         moved=beam.support != "free",
         grid=_make_grid(beam, heights),
         damping=beam.damping,

@@ -536,7 +536,9 @@ def _require_axis_of_revolution(keys: BodyKeys, about: CylindricalAxes, where: s
         raise wrong(where, problem, hint=hint)
 
 
-def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
+def _make_setup(
+    keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
+) -> fe.BoundaryConditions:
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
@@ -550,11 +552,11 @@ def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
             base.append((port.ports[0], port.direction))
         elif port.kind == "face":
             facets = boundary_facets(port, groups, solid)
-            shapes.append(fe.pressure_shape(port.ports[0], solid, facets))
+            shapes.append(fe.make_pressure_load(port.ports[0], solid, facets))
         else:
             force = fe.spread_force(_node_shares(port, groups, solid), port.direction, solid)
-            shapes.append(fe.ForceShape(port.ports[0], force))
-    return fe.Setup(
+            shapes.append(fe.PortLoad(port.ports[0], force))
+    return fe.BoundaryConditions(
         fixed=_clamped_components(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference,

@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box, outer_faces
+from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
@@ -190,7 +190,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         conductors[1:-1] if series else (),
         {"centre": _face(0.0, patch / 2, top)},
         _make_supports(disc, pieces, across / 2),
-        faces=outer_faces(((0.0, across / 2), (0.0, top))),
+        faces=list_outer_faces(((0.0, across / 2), (0.0, top))),
         size=max(top, across) / (2 * _RADIAL_CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,

@@ -41,11 +41,11 @@ from kc2spice.bodies.heat_field import TemperatureField, recover_temperatures, w
 from kc2spice.bodies.heat_model import (
     MESH_LIMIT_NAME,
     RESISTANCE_PREFIX,
+    HeatBoundaryConditions,
     HeatFilm,
     HeatModel,
-    HeatSetup,
+    compute_static_resistances,
     make_heat_model,
-    static_resistances,
 )
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
@@ -149,7 +149,7 @@ def _is_point(source: str | HeatSourceKeys) -> bool:
 
 def _make_setup(
     keys: HeatBodyKeys, geometry: Geometry, interfaces: list[tuple[np.ndarray, float]]
-) -> HeatSetup:
+) -> HeatBoundaryConditions:
     solid = geometry.solid.geometry
     fixed = [find_face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
     isothermal = []
@@ -165,7 +165,7 @@ def _make_setup(
         faces_of_film = geometry.faces(film.group, f"films[{number}].group")
         port = None if film.pin is None else Port(film.pin, THERMAL.port)
         films.append(HeatFilm(faces_of_film, film.coefficient, port))
-    return HeatSetup(
+    return HeatBoundaryConditions(
         fixed=np.unique(np.concatenate([np.empty(0, int), *fixed])),
         isothermal=isothermal,
         sources=sources,
@@ -406,7 +406,7 @@ dc = "1 W"
         known = [name for name in model.facts if name.startswith(RESISTANCE_PREFIX)]
         if not known:
             return model
-        resistances = static_resistances(model)  # names of the ports that the scene uses
+        resistances = compute_static_resistances(model)  # names of the ports that the scene uses
         exact = {name: resistances[name] for name in known if name in resistances}
         return replace(model, facts={**model.facts, **exact})
 
@@ -428,7 +428,7 @@ dc = "1 W"
             if name.startswith(RESISTANCE_PREFIX):
                 result[name] = Metric(value, "K/W")
         field = self.temperatures(part, build, waves)
-        for spot in field.hottest() if field else ():
+        for spot in field.find_hot_spots() if field else ():
             word = metric_word(spot.material)
             result[f"hottest_rise_{word}"] = Metric(spot.value, "K")
             result[f"hottest_time_{word}"] = Metric(spot.instant, "s")

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from kc2spice.bodies.readers import locate_model, mesh_extent, read_model, source_files
+from kc2spice.bodies.readers import list_source_files, locate_model, measure_mesh_extent, read_model
 from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
@@ -77,7 +77,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
         """Return the matrix files and their sidecar, relative to the scene."""
-        result = source_files(*self._source(part, scene))
+        result = list_source_files(*self._source(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
     def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
@@ -86,7 +86,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the box of the mesh, if the TOML file names a mesh."""
-        size = mesh_extent(*self._source(part, scene))
+        size = measure_mesh_extent(*self._source(part, scene))
         if size is None or not size[:2].any():
             return
         wide, high = float(size[:2].max()), float(size[2] or size[:2].min())

@@ -369,13 +369,13 @@ class PiezoStack(MeshedBody[Stack]):
         shape, scene = pressure_nodes(part, build.scene), build.scene
         # The mesh of the chip does not resolve these fields.
         if part.keys.fields and shape is not None:
-            from kc2spice.bodies.pressure import UNITS, stresses_under_force
+            from kc2spice.bodies.pressure import UNITS, compute_stresses_under_force
 
             contacts = scene.list_parts_with_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = make_pair(scene.parts[name], scene).basis_forces(most)
-                inside = stresses_under_force(part.keys, shape, forces)
+                inside = compute_stresses_under_force(part.keys, shape, forces)
                 for key, value in inside.items():
                     result[f"{name}_{key}"] = Metric(value, UNITS[key])
         current = waves.data.get(f"{part.name}.current")

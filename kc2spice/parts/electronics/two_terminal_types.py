@@ -157,7 +157,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
-    def _unit_factor(self) -> Number:
+    def _find_unit_factor(self) -> Number:
         """Return the factor that converts an admittance in SI to amperes and volts of the pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
@@ -189,7 +189,7 @@ class LinearElement(DeclaredPart[KeysT]):
         if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
-        admittance = multiply_trees(self._unit_factor, self.admittance_law[1])
+        admittance = multiply_trees(self._find_unit_factor, self.admittance_law[1])
         if self._letter != "C":
             value = self._evaluate(part, divide_trees(ONE, admittance))
             separate = build.has_noise and not self._has_si_units
@@ -216,7 +216,7 @@ class LinearElement(DeclaredPart[KeysT]):
         also sum to zero.
         """
         value = LEAK_RATE * self._evaluate(
-            part, multiply_trees(self._unit_factor, self.admittance_law[1])
+            part, multiply_trees(self._find_unit_factor, self.admittance_law[1])
         )
         return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
@@ -228,7 +228,7 @@ class LinearElement(DeclaredPart[KeysT]):
     @cached_property
     def _has_si_units(self) -> bool:
         """Whether the pins have SI units, so that the resistor's card has the noise of the loss."""
-        return self._unit_factor == ONE
+        return self._find_unit_factor == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Return the cards of the force noise ``4 k T c`` [N^2/Hz].

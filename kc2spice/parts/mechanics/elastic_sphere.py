@@ -143,7 +143,8 @@ elastic = true
         if specified is not None:
             return specified
         return Rom(
-            tolerance=1e-3, band=(0.0, float(f"{BAND_RATIO * _body(part, scene).oblate:.3g}"))
+            tolerance=1e-3,
+            band=(0.0, float(f"{BAND_RATIO * _body(part, scene).oblate_frequency:.3g}")),
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
@@ -173,14 +174,14 @@ elastic = true
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
         """Return the contact compliance of the sphere for a set of pressure nodes."""
-        from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
+        from kc2spice.bodies.pressure import LocalCompliance, compute_sphere_compliance
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
         arguments, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
         return load_or_build(
             "indented",
             key,
-            lambda: sphere_compliance(*arguments),
+            lambda: compute_sphere_compliance(*arguments),
             classes=kinds,
             sources=self.sources(),
         )
