@@ -136,7 +136,7 @@ class EnrichedModel:
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
         """Extend responses z (n, k) under voltages (e, k) by potentials, and compute residuals.
 
-        The residuals are those of static responses.
+        The residuals belong to static responses.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))

@@ -214,9 +214,9 @@ def evaluate_at_nodes(
 ) -> dict[str, np.ndarray]:
     """Evaluate all fields at the nodes of the elements, element by element.
 
-    For the unknowns z (n,) and the voltages (e,), the result contains ``displacement`` (points, 3)
-    [m], ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in
-    Voigt order. ``material`` is the number of the material.
+    The arguments are the unknowns z (n,) and the voltages (e,). The result contains
+    ``displacement`` (points, 3) [m], ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and
+    ``stress`` (points, 6) [Pa] in Voigt order. ``material`` is the number of the material.
     """
     probe = FieldProbe(device, gauss=False)
     u, phi = probe.compute_nodal_values(z[:, None], voltages[:, None])

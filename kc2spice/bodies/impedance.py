@@ -3,7 +3,7 @@
 The Butterworth-Van Dyke circuit is a capacitor C0 in parallel with a branch of R, L, C in series.
 With s = j w, its admittance is
 
-    Y(s) = s C0 + s C / (1 + s R C + s^2 L C),
+    Y(s) = s C0 + s C / (1 + s R C + s^2 L C).
 
 The values are f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective
 coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied

@@ -179,8 +179,8 @@ def list_strain_operators(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield shape functions and strain operators at each point of ``basis``.
 
-    The yielded arrays are the values N (elements, l) and the gradients G (elements, 3, l) of the l
-    local shape functions, and the strain operator B (elements, 6, l d), in the sequence N, B, G.
+    The l local shape functions have the values N (elements, l) and the gradients G (elements, 3,
+    l). The strain operator is B (elements, 6, l d). The arrays are yielded in the sequence N, B, G.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.components, solid.axes

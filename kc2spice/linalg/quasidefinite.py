@@ -1,4 +1,4 @@
-"""Factors of large sparse quasi-definite matrices, such as those of piezoelectric solids.
+"""Factors of large sparse quasi-definite matrices, such as matrices of piezoelectric solids.
 
 A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. In any order of its
 unknowns it has a factor ``L D L'`` without pivoting, in which D is 1 for unknowns of A and -1 for

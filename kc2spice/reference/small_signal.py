@@ -411,9 +411,9 @@ class ExponentialSolution:
     ) -> np.ndarray:
         """Compute waves (nt, len(outputs)) at increasing times.
 
-        By default, the waves are exact. If ``rates`` maps the rates of modes, and ``axis`` the
-        frequency ``j w`` of a sine, to the values that an integration rule realises, the waves are
-        the result of this integration rule.
+        By default, the waves are exact. With ``rates`` and ``axis``, they are the result of an
+        integration rule. Both functions return the value that the rule realises: ``rates`` for the
+        rate of a mode, ``axis`` for the frequency ``j w`` of a sine.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)

@@ -151,7 +151,7 @@ class ErrorEstimator:
     def _significant_entries(self) -> np.ndarray:
         """Mask of the entries that exceed the rounding errors of their terms.
 
-        The scale of entries that are zero by symmetry is that of their row and column.
+        The scale of entries that are zero by symmetry is the scale of their row and column.
         """
         return np.asarray(
             ~self.exact.cancelled_entries(2j * np.pi * self.frequency) | self.reference[1].zero

@@ -138,9 +138,9 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
     """Find the modes (n, r) without elastic energy by inverse iteration.
 
-    The modes are orthonormal in the mass. The ``factor`` is that of the shifted elastic stiffness.
-    A mode that changes electric potentials has energy, even without elastic forces. The result has
-    no columns if the first elastic mode is below the shift.
+    The modes are orthonormal in the mass. ``factor`` is the factor of the shifted elastic
+    stiffness. A mode that changes electric potentials has energy, even without elastic forces. The
+    result has no columns if the first elastic mode is below the shift.
     """
     K, _, M = pencil.coefficients
     rng, count = np.random.default_rng(0), BLOCK_VECTORS

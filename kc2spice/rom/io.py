@@ -205,7 +205,7 @@ def require_rom_file(path: Path) -> None:
 def read_rom(path: Path | str) -> LinearModel:
     """Read a reduced model that :func:`write_rom` wrote.
 
-    The path is that of the ``.npz`` file, the ``.json`` file, or any matrix file of the model.
+    The path names the ``.npz`` file, the ``.json`` file, or any matrix file of the model.
 
     Raises
     ------

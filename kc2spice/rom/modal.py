@@ -235,7 +235,7 @@ MASSLESS_ERROR = 1e-3
 # The same limit if the lowest massless mode has a damping ratio below MAX_RINGING_RATIO. Such modes
 # depend on the mesh, ring for hundreds of periods, and determine the time steps after a kick. If
 # they are massless, launches of a chip with 0.01 % damping need a third of the time points. The
-# launches change by 1.2e-3 towards those of a finer model, a quarter of the difference to it.
+# launches change by 1.2e-3 towards the launches of a finer model: a quarter of the difference.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
 # smallest frequency of a mode that becomes massless, relative to the end of the band; lower modes

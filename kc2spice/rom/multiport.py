@@ -426,8 +426,8 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
 def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
     """Return whether a state space of scattering parameters is passive at every frequency.
 
-    The model is passive if it is stable, the norm of D is below one, and the Hamiltonian for a
-    bound just above one has no eigenvalue on the imaginary axis.
+    The model is passive under three conditions: it is stable, the norm of D is below one, and the
+    Hamiltonian for a bound just above one has no imaginary eigenvalue.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False

@@ -109,8 +109,8 @@ class Schur:
     def is_proven_definite(self, factor: Factor | None) -> bool:
         """Return whether a ``factor`` of all blocks proves the complement positive definite.
 
-        The number of negative eigenvalues of the whole matrix is the sum of those of ``pp`` and of
-        the complement (Haynsworth 1968). The complement must not have any.
+        The number of negative eigenvalues of the whole matrix is the sum of the numbers of ``pp``
+        and of the complement (Haynsworth 1968). The complement must not have any.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative

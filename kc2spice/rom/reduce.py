@@ -8,8 +8,8 @@ computes bases of the intermediate model with the reductors that suit the model.
 smallest order whose error estimate is within the tolerance, and proves stability and passivity.
 
 Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
-the largest difference to the intermediate model, at and beside every resonance and at every notch,
-and the error of the intermediate model.
+the largest difference to the intermediate model, and the error of the intermediate model. The
+difference is computed at and beside every resonance and at every notch.
 """
 
 from __future__ import annotations

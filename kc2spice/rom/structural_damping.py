@@ -219,7 +219,7 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _corner(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) whose only entry is that of the displacement."""
+    """Return a matrix (1 + inner, 1 + inner) whose only entry belongs to the displacement."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result

@@ -363,7 +363,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
 
 
 def _find_standard_letter(name: str) -> str | None:
-    """Return the letter that the beginning of a matrix name stands for; None if unknown."""
+    """Return the letter that the beginning of a matrix name means; None if unknown."""
     return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 
 

@@ -156,7 +156,7 @@ def is_measured(path: Path) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file name is that of a table, not of a matrix."""
+    """Return whether a file name is the name of a table, not of a matrix."""
     return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 

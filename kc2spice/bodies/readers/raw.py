@@ -55,7 +55,7 @@ _PARSER_MESSAGES = {
 _BOM = b"\xef\xbb\xbf"
 
 # Degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs; the other
-# numbers are those of Abaqus or kc2spice.
+# numbers are numbers of Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",

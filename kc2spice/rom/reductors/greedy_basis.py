@@ -1,7 +1,7 @@
 """Rational Krylov basis to which one expansion point after another is added.
 
-Points are chosen alternately by two criteria: the largest residual, which is estimated by random
-combinations of equations (a sketch), and the largest change of the response by the last point. At
+Points are chosen alternately by two criteria: the largest residual, and the largest change of the
+response by the last point. Random combinations of equations (a sketch) estimate the residual. At
 each point, the solution of the full model first tests the projection. Then the solution and its
 derivative with respect to s are added to the basis. Real and imaginary parts are separate vectors,
 so that all matrices remain real.
