@@ -189,7 +189,8 @@ def inputs(own, state, rates, drops):
 def get_law_name(name, **keys):
     scene, part = example(name)
     part = replace(part, keys=part.keys.model_copy(update=keys))
-    (found,) = part.type.law(part, Build(scene, {})).laws
+    laws = part.type.law(part, Build(scene, {})).laws
+    (found,) = (law for law in laws if law.name == part.name)  # besides the law of a mass
     return found
 
 
