@@ -211,7 +211,7 @@ def worst_law(name, **keys):
         through[list(own.charged)] += rises[n:]
         # a current's voltage changes its flux and drops: that is the residual of its row
         errors += [abs(out[len(own.flows) + k] / rises[k] - 1) for k in range(n)]
-        brought = 0.0
+        brought, converted = 0.0, 0.0
         for k, b in enumerate(stated_.d.branches):
             exact = state[b.name] if b.kind in FLOWS else stated_.answer(b, state, rates)
             errors.append(abs(through[k] / exact - 1))
@@ -220,9 +220,12 @@ def worst_law(name, **keys):
                 place = own.states.index(b.name)
                 across = rises[place] + drops[b.name] - out[len(own.flows) + place]
             brought += through[k] * across
+            converted += abs(through[k] * across)
         stored, _ = own._energy_function(*(e + 1j * H * de), *mode, *own.values)
         rise, lost = np.imag(stored) / H, own.loss(e, mode)
         size = abs(brought) + abs(lost) + abs(rise)
+        if not (stored or lost):  # an ideal transformer
+            size = converted
         powers.append(abs(brought - rise - lost) / size)
     return max(errors), max(powers)
 
