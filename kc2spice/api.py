@@ -411,7 +411,7 @@ class Result:
         ------
         UsageError : the analysis was not a transient.
         """
-        return self._over("time")
+        return self._require_scale("time")
 
     @property
     def frequency(self) -> np.ndarray:
@@ -421,9 +421,9 @@ class Result:
         ------
         UsageError : the analysis was not an ``ac`` analysis.
         """
-        return self._over("frequency")
+        return self._require_scale("frequency")
 
-    def _over(self, scale: str) -> np.ndarray:
+    def _require_scale(self, scale: str) -> np.ndarray:
         """Return the wave ``scale``; raise an error if the result has another scale."""
         if self.scale != scale:
             raise UsageError(

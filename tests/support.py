@@ -134,7 +134,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies": "_body_model _neglected bimorph disc langevin",
     "kc2spice.parts.bodies._body_model": "describe_target scene_band",
     "kc2spice.parts.bodies._body_ports": "inert_ports",
-    "kc2spice.parts.bodies._box": "number_of varied_keys with_values",
+    "kc2spice.parts.bodies._box": "read_number_key list_varied_keys with_values",
     "kc2spice.parts.bodies._face_levels": "find_node_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
@@ -143,7 +143,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies.body": "BodyKeys device",
     "kc2spice.parts.bodies.heat_body": "make_heat_device",
     "kc2spice.parts.control.pid": "Control pid_subcircuit settling_time",
-    "kc2spice.parts.electronics._template": "Load opamp_subcircuit parameters",
+    "kc2spice.parts.electronics._template": "CoilLoad opamp_subcircuit parameters",
     "kc2spice.parts.electronics.driver_types": (
         "Amplifier AmplifierKeys ChargeDrive ChargeKeys HalfBridge HalfBridgeKeys LinearDrive "
         "LinearDriverKeys PwmDrive PwmKeys"
@@ -263,7 +263,7 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.misfit": "estimate_covariance find_likely_cause rms_misfit",
     "kc2spice.workflow.models": "build_models model_values value_units",
     "kc2spice.workflow.orders": "suggested_keys",
-    "kc2spice.workflow.reduce_files": "_load_scene_body export_rom first_deck reduce_file",
+    "kc2spice.workflow.reduce_files": "_load_scene_body export_rom make_example_deck reduce_file",
     "kc2spice.workflow.refine": "repeat_timing",
     "kc2spice.workflow.run": "complete_run run_scene",
     "kc2spice.workflow.simulate": "run_simulation simulate_deck",

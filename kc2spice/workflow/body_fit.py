@@ -19,7 +19,7 @@ from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, Progress
 from kc2spice.fem.body_keys import Damping
-from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
+from kc2spice.parts.bodies._body_model import find_damping, loss_tangent
 from kc2spice.parts.bodies._box import VariedKey
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.complex_constants import ComplexConstants
@@ -112,7 +112,7 @@ class BodyFit:
         part = loaded.part(self.part, where=self.part)
         assert isinstance(part.type, LinearBody)  # required before the fit
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
-        key, damping = (id(self.like) if moved else 0, *rest.items()), damping_of(part)
+        key, damping = (id(self.like) if moved else 0, *rest.items()), find_damping(part)
         if key in self.last and not damping.per_material:
             return add_rayleigh_damping(self.last[key], damping)
         self.counted[0] += 1
@@ -150,7 +150,7 @@ class BodyFit:
     @property
     def damping(self) -> Damping:
         """Damping of the part in the scene."""
-        return damping_of(self.scene.part(self.part))
+        return find_damping(self.scene.part(self.part))
 
     def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of a reduced model with complex constants of IEEE 176.

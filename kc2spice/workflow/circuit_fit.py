@@ -22,7 +22,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock, Progress
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import get_scene_laws
-from kc2spice.parts.bodies._box import VariedKey, values_of_part
+from kc2spice.parts.bodies._box import VariedKey, read_key_values
 from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
@@ -203,7 +203,7 @@ class CircuitFit:
         ------
         UsageError : the scene of a curve is not valid at the first values.
         """
-        values = values_of_part(self.keys)
+        values = read_key_values(self.keys)
         self.residuals(values)  # errors of the scene at its own values are raised unchanged
         start = np.log(np.abs(list(values.values())))
         return least_squares(
@@ -226,7 +226,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     described = describe_values(keys, values, solved.jac, solved.fun)
     responses, rows, sizes = [], [], []
     for curve in problem.curves:
-        before = problem.admittance(curve, values_of_part(keys))
+        before = problem.admittance(curve, read_key_values(keys))
         after = problem.admittance(curve, values)
         size = np.abs(np.abs(curve.Y / after) - 1)  # relative error of |Z|
         responses.append((curve, before, after))

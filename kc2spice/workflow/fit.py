@@ -20,7 +20,7 @@ from kc2spice.core.argument_names import naming_arguments
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
-from kc2spice.parts.bodies._box import values_of_part
+from kc2spice.parts.bodies._box import read_key_values
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.fit_page import PlottedCurve, write_fit
 from kc2spice.scene.load import load_scene
@@ -28,7 +28,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.workflow.body_fit import BodyFit
 from kc2spice.workflow.circuit_fit import CircuitFit, fit_circuit, require_impedance
 from kc2spice.workflow.fit_curves import read_curves
-from kc2spice.workflow.fit_descents import Descent, DescentResult, descend, refine_end
+from kc2spice.workflow.fit_descents import Descent, DescentResult, refine_end, run_descents
 from kc2spice.workflow.fit_keys import (
     format_calibrated_ranges,
     read_varied_keys,
@@ -149,10 +149,10 @@ def fit(
     body = BodyFit(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else stage_directory(out) as work:
         descent = Descent(body, {item.key: item.axis for item in keys})
-        ends = descend(descent)
+        ends = run_descents(descent)
         end = refine_end(descent, ends[0])
-        start = body.response(descent.reduced, values_of_part(keys))
-        record = _record(body, start, end, ends)
+        start = body.response(descent.reduced, read_key_values(keys))
+        record = _make_record(body, start, end, ends)
         if out is None:
             return record
         _write_values(work / VALUES_FILE, record["values"])
@@ -239,7 +239,7 @@ def _require_keys(vary: object, part: str) -> None:
         )
 
 
-def _record(
+def _make_record(
     body: BodyFit, start: np.ndarray, end: DescentResult, ends: Sequence[DescentResult]
 ) -> dict[str, Any]:
     """Return the content of ``fit --json``.

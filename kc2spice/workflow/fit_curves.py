@@ -25,7 +25,7 @@ MIN_POINTS = 4  # smallest number of frequencies of a curve within its band
 EXAMPLE = '[[curve]]  file = "weighted.zma"  set = { "speaker.added_mass" = "8 g" }'
 
 
-class CurveKeys(Section):
+class MeasurementKeys(Section):
     """Keys of one ``[[curve]]`` table: data file, band, and scene keys of this measurement."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
@@ -42,10 +42,12 @@ class CurveKeys(Section):
     )
 
 
-class CurveListKeys(Section):
+class MeasurementListKeys(Section):
     """All curves of a fit."""
 
-    curve: list[CurveKeys] = Field(min_length=1, description="Measured curves, one table for each")
+    curve: list[MeasurementKeys] = Field(
+        min_length=1, description="Measured curves, one table for each"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ def read_curves(
         tables: Mapping[str, Any] = parse_toml_file(text, where)
     else:
         where, folder, tables = "data", Path(), {"curve": list(data)}
-    entries = validate(CurveListKeys, tables, f"{where}:").curve
+    entries = validate(MeasurementListKeys, tables, f"{where}:").curve
     curves = list(_read_entries(entries, folder, where, shunt))
     if all(curve.predict for curve in curves):
         raise UsageError(
@@ -112,7 +114,7 @@ def read_curves(
 
 
 def _read_entries(
-    entries: Sequence[CurveKeys], folder: Path, where: str, shunt: float | None
+    entries: Sequence[MeasurementKeys], folder: Path, where: str, shunt: float | None
 ) -> Iterator[MeasuredCurve]:
     for k, entry in enumerate(entries):
         file = entry.file

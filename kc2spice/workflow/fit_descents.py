@@ -12,7 +12,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._box import VariedKey, values_of_part
+from kc2spice.parts.bodies._box import VariedKey, read_key_values
 from kc2spice.rom.parametric import DenseParametricModel, ParameterAxis
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
@@ -114,13 +114,13 @@ class Descent:
         return DescentResult(self.values(solved.x), solved, self.parameter_axes)
 
 
-def descend(descent: Descent) -> list[DescentResult]:
+def run_descents(descent: Descent) -> list[DescentResult]:
     """Return the results of all descents in the full ranges, beginning with the best."""
     low, high = descent.bounds
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = map(descent.values, draws[np.argsort(costs)[: DESCENT_COUNT - 1]])
-    starts = [values_of_part(descent.body.keys), *best]
+    starts = [read_key_values(descent.body.keys), *best]
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 
 

@@ -34,7 +34,7 @@ _VALID_NAME = re.compile(r"[A-Za-z]\w*")
 ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
 
 
-class _Wave(NamedTuple):
+class _MeasuredVector(NamedTuple):
     """Vector of the simulator in an analysis of a ``kind``.
 
     ``factor`` is the SI value of the vector's unit. ``per_unit`` is the voltage or current of a dc
@@ -79,7 +79,7 @@ def _list_measures(
             yield from _list_probe_measures(name, probe, wave)
 
 
-def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
+def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _MeasuredVector | None:
     """Return the simulator's vector of a result.
 
     None is returned for a sum of vectors, for a sweep that returns to its first value, and for a
@@ -91,10 +91,10 @@ def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave
     if kind == "dc" and scene.analysis.back:
         return None
     ((sign, text),) = result.terms
-    return _Wave(kind, text, sign * result.factor, sweep_scale, scene.stop)
+    return _MeasuredVector(kind, text, sign * result.factor, sweep_scale, scene.stop)
 
 
-def _list_probe_measures(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
+def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iterator[Measure]:
     """Yield the measure of a probe, if a card can compute this probe.
 
     In ``ac``, the card measures the magnitude of a voltage.

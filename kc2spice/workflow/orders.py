@@ -144,7 +144,7 @@ def _run_again(
     return result
 
 
-class _Search(NamedTuple):
+class _OrderSearch(NamedTuple):
     """Scene with the best orders of its bodies, and the reason for the end of each search."""
 
     scene: Scene
@@ -166,17 +166,17 @@ def _bodies_with_order(run: Run) -> Iterator[Part]:
     return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
-def _search_larger_orders(run: Run, clock: Clock) -> _Search:
+def _search_larger_orders(run: Run, clock: Clock) -> _OrderSearch:
     """Find a larger order for each body whose error under the recorded loads is too large."""
-    result = _Search(run.build.scene)
+    result = _OrderSearch(run.build.scene)
     for name, check in _violated_checks(run).items():
         result = _search_larger_order(run, result, name, check, clock)
     return result
 
 
 def _search_larger_order(
-    run: Run, earlier: _Search, name: str, check: Check, clock: Clock
-) -> _Search:
+    run: Run, earlier: _OrderSearch, name: str, check: Check, clock: Clock
+) -> _OrderSearch:
     """Find the smallest multiple of the order whose error is within the limit of ``check``.
 
     If no error is within the limit, the result is the multiple with the smallest error. The scene
@@ -226,7 +226,7 @@ def _search_larger_order(
         if least <= check.limit and result is not None:
             break
     chosen = () if result is None else (result,)
-    return _Search(best, (*earlier.chosen, *chosen), (*earlier.ends, f"{check.name}: {end}"))
+    return _OrderSearch(best, (*earlier.chosen, *chosen), (*earlier.ends, f"{check.name}: {end}"))
 
 
 def _estimate_run_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:

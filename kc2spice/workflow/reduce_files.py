@@ -370,7 +370,7 @@ def _reduce_measured(
     A one-port becomes a circuit of parallel branches, if such a circuit matches the data.
     Otherwise, the measurement becomes a state-space model with arbitrary poles.
     """
-    conductance = None if dc is None else _conductance(dc)
+    conductance = None if dc is None else _parse_conductance(dc)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path, parse_shunt_resistance(shunt))
     ports = data.Y.shape[1]
@@ -385,12 +385,12 @@ def _reduce_measured(
     progress("reduce", None, f"fitting {len(data.f)} frequencies")
     notes = list(data.notes)
 
-    def fitted() -> LinearModel:
+    def fit_model() -> LinearModel:
         model = _fit_passive_model(data, conductance, notes, progress)
         _require_small_misfit(model, data)
         return model
 
-    result = _write_reduced_model(data.name, len(data.f), fitted, out)
+    result = _write_reduced_model(data.name, len(data.f), fit_model, out)
     error, warnings = result["error_estimate"], []
     if error > WARNING_MISFIT:
         text = f"the error of {error:.2g} exceeds {WARNING_MISFIT:g}: the circuit is not the part "
@@ -413,9 +413,9 @@ def _reduce_transient(
     progress("reduce", None, f"fitting {len(data.time)} samples")
     fit = cache(lambda: network_of_transient(data, watts, form))
     result = _write_reduced_model(data.name, len(data.time), lambda: fit().model, out)
-    fitted = fit()
-    record = {"notes": list(fitted.notes), "warnings": list(fitted.warnings)}
-    facts = {"noise": fitted.noise, "quantity": data.quantity, "data": data.description}
+    transient_fit = fit()
+    record = {"notes": list(transient_fit.notes), "warnings": list(transient_fit.warnings)}
+    facts = {"noise": transient_fit.noise, "quantity": data.quantity, "data": data.description}
     return result | record | facts | {"network": form}
 
 
@@ -461,7 +461,7 @@ def _fit_poles(data: MeasuredAdmittance) -> LinearModel:
 
 
 @dataclass(frozen=True)
-class _Misfit:
+class _ModelMisfit:
     """Error of a model, its ``limit``, and the ``noise`` of the data in the same norm."""
 
     error: float
@@ -474,12 +474,12 @@ class _Misfit:
         return self.error > self.limit
 
 
-def _misfit(model: LinearModel, data: MeasuredAdmittance) -> _Misfit:
+def _compute_misfit(model: LinearModel, data: MeasuredAdmittance) -> _ModelMisfit:
     """Return the error of a model with the noise of the data."""
     certificate = model.certificate
     assert certificate is not None
     noise = data.relative_noise(certificate.norm)
-    return _Misfit(certificate.error_estimate, max(MAX_MISFIT, MAX_NOISE_RATIO * noise), noise)
+    return _ModelMisfit(certificate.error_estimate, max(MAX_MISFIT, MAX_NOISE_RATIO * noise), noise)
 
 
 def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
@@ -493,13 +493,13 @@ def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
 
     An example is a loudspeaker, whose parallel resonance is in series with a coil.
     """
-    misfit = _misfit(model, data)
+    misfit = _compute_misfit(model, data)
     return misfit.exceeds and misfit.limit == MAX_MISFIT
 
 
 def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
     """Reject a model whose error is too large, and is far above the noise."""
-    certificate, misfit = model.certificate, _misfit(model, data)
+    certificate, misfit = model.certificate, _compute_misfit(model, data)
     if certificate is None or not misfit.exceeds:
         return
     of = "of each admittance" if certificate.norm == "pointwise" else "of an entry's peak"
@@ -514,7 +514,7 @@ def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
     )
 
 
-def _conductance(dc: str | float) -> float:
+def _parse_conductance(dc: str | float) -> float:
     """Return the conductance [S] at zero frequency that ``--dc`` states."""
     if dc == "open":
         return 0.0
@@ -631,7 +631,7 @@ def export_rom(
         raise unknown_dialect_error(dialect, dialect_names())
     path = Path(path)
     reduced, part = _read_part(path, dense)
-    deck = first_deck(reduced, part)
+    deck = make_example_deck(reduced, part)
     directory = Path(part.name) if out is None else Path(out)
     files = write_dialect_files(deck, dialect) | write_symbol_files(deck, dialect)
     files |= write_plot_script(deck) if dialect == "ngspice" else {}
@@ -662,7 +662,7 @@ def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
     return varying.at(defaults), parametric_subcircuit(varying, name, None, header)
 
 
-def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
+def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
     """Return a deck that computes the response of ``model`` to a unit input at its first port."""
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))

@@ -39,7 +39,7 @@ WIDENING_FACTOR = 4.0
 MAX_RESONANCES = 100
 
 
-def list_refinements(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
+def list_refined_analyses(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
     """Return analyses with closely spaced frequencies at resonances, and at frequencies of probes.
 
     ``command`` is the analysis of the scene.

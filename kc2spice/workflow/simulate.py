@@ -228,9 +228,9 @@ def choose_engine(
     if not laws.build.scene.analysis.is_small_signal:
         return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
     # imported here, because the module loads scipy
-    from kc2spice.workflow.resonances import list_refinements
+    from kc2spice.workflow.resonances import list_refined_analyses
 
-    refinements = list_refinements(deck.command, laws)
+    refinements = list_refined_analyses(deck.command, laws)
     from_rest = deck.text is not None or not laws.linear
     return Engine(directory, progress, timeout, refinements=refinements, from_rest=from_rest)
 

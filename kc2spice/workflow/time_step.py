@@ -82,7 +82,7 @@ def choose_largest_step(build: Build) -> StepLimit:
     limits = [StepLimit(scene.stop / MIN_POINTS, f"1/{MIN_POINTS} of the run")]
     limits += [StepLimit(row.step, row.description) for row in scales]
     start = min(limits, key=attrgetter("step"))
-    linearised = linearised_scene(build)
+    linearised = find_linearised_scene(build)
     if not linearised.resolved_by_error_control and start.step > NONLINEAR_STEP:
         start = StepLimit(NONLINEAR_STEP, "not all of it is linear")
     rule, limits = INTEGRATION_RULES[scene.solver.method], [start]
@@ -151,7 +151,7 @@ class LinearisedScene:
         return tuple(_solve_motion(network, self.build.scene.stop) for network in self.networks)
 
 
-def linearised_scene(build: Build) -> LinearisedScene:
+def find_linearised_scene(build: Build) -> LinearisedScene:
     """Return the stored linearised networks of a build, or new networks.
 
     New networks are returned if the keys or models of the build have changed.
@@ -164,7 +164,7 @@ def linearised_scene(build: Build) -> LinearisedScene:
 
 def with_linearised_scene(build: Build) -> Build:
     """Return a build with stored linearised networks, so that they are computed once."""
-    return replace(build, linearised=linearised_scene(build))
+    return replace(build, linearised=find_linearised_scene(build))
 
 
 def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
@@ -188,7 +188,7 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 # --- rules of integration -------------------------------------------------------------------------
 
 
-class Rule(NamedTuple):
+class IntegrationRule(NamedTuple):
     """Integration rule with steps ``h``, by its effect on exponentials.
 
     ``rates`` returns the rates of the numerical solutions of ``e^(r t)``. ``axis`` returns s in ``1
@@ -200,18 +200,18 @@ class Rule(NamedTuple):
 
 
 INTEGRATION_RULES = {
-    "trap": Rule(
+    "trap": IntegrationRule(
         lambda r, h: np.log((1 + r * h / 2) / (1 - r * h / 2)) / h,
         lambda jw, h: 2 / h * np.tanh(jw * h / 2),
     ),
-    "gear": Rule(
+    "gear": IntegrationRule(
         lambda r, h: np.log((2 + np.sqrt(1 + 2 * r * h)) / (3 - 2 * r * h)) / h,
         lambda jw, h: (1.5 - 2 * np.exp(-jw * h) + 0.5 * np.exp(-2 * jw * h)) / h,
     ),
 }
 
 
-def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
+def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRule) -> StepLimit:
     """Return the largest step up to ``start`` with which ``rule`` is accurate.
 
     The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the wave itself is at most
@@ -325,7 +325,7 @@ def _compare_exact_motion(
     circuits.
     """
     exact, worst = set[str](), (0.0, 0.0, "")
-    linearised = linearised_scene(build)
+    linearised = find_linearised_scene(build)
     for network, motion in zip(linearised.networks, linearised.motions, strict=True):
         if _has_unmodelled_neighbour(build, network, linearised.missing):
             continue

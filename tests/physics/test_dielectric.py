@@ -14,9 +14,9 @@ from support import (
     UsageError,
     ac_command,
     build_models,
-    first_deck,
     fit_foster_network,
     ignore_progress,
+    make_example_deck,
 )
 
 import kc2spice as kc
@@ -130,7 +130,7 @@ def test_a_full_model_without_loss_prints_a_note():
 
 def test_ngspice_has_the_response_of_the_lossy_model(models):
     model = models[1].select(["anode"])
-    deck = first_deck(model, kc.subcircuit(model, "lossy"))
+    deck = make_example_deck(model, kc.subcircuit(model, "lossy"))
     low, high = 1e3, model.certificate.band_hz[1]
     waves = kc.simulate(replace(deck, command=ac_command(low, high, 50, "linear"))).waves
     f = np.linspace(low, high, 50)

@@ -251,7 +251,9 @@ def test_keys_that_cannot_be_varied(vary):
 
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
-    monkeypatch.setattr("kc2spice.workflow.fit.descend", lambda _: pytest.fail("it was fitted"))
+    monkeypatch.setattr(
+        "kc2spice.workflow.fit.run_descents", lambda _: pytest.fail("it was fitted")
+    )
     (tmp_path / "out").write_text("a file")
     data = measured(BUZZER, "disc", {}, (3e3, 8e3), 0.005, 6)
     with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):

@@ -7,8 +7,8 @@ from support import (
     NodalCircuit,
     dialect_names,
     export_scene,
-    first_deck,
     load_scene,
+    make_example_deck,
     run_deck,
     verify_scenes,
 )
@@ -189,7 +189,7 @@ def test_a_piston_moves_a_tube_as_its_closed_form_does(tmp_path):
 def test_the_first_deck_of_a_reduced_model_answers_with_a_flow(tmp_path):
     resonator(tmp_path)
     rom = kc.reduce(kc.read_model(tmp_path / "neck"), order=1, band=(100.0, 3000.0))
-    deck = first_deck(rom, kc.subcircuit(rom, "neck"))
+    deck = make_example_deck(rom, kc.subcircuit(rom, "neck"))
     assert "response to 1 Pa at mouth" in deck.title
     waves = run_deck(deck, tmp_path / "first")
     s = 2j * np.pi * waves["frequency"].real

@@ -8,8 +8,8 @@ import pytest
 from device import both, built
 from own_equations import VT, integrated
 from support import (
+    CoilLoad,
     LinearDrive,
-    Load,
     PwmDrive,
     assemble_system,
     find_replayed_nets,
@@ -22,7 +22,7 @@ from support import laws as L
 
 FARAD, HENRY = 1e-7, 1e-6  # F, in place of a chip; H, before it where it rings
 OUTPUT = 0.1  # Ohm, of an operational amplifier
-COILS = Load(inductance=73e-3, resistance=3192.0, current=0.1)
+COILS = CoilLoad(inductance=73e-3, resistance=3192.0, current=0.1)
 
 
 def pulse(t, high, start=1e-6, edge=1e-7, width=1e-5):

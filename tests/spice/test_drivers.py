@@ -8,11 +8,11 @@ from support import (
     AmplifierKeys,
     ChargeDrive,
     ChargeKeys,
+    CoilLoad,
     HalfBridge,
     HalfBridgeKeys,
     LinearDrive,
     LinearDriverKeys,
-    Load,
     PwmDrive,
     PwmKeys,
     opamp_subcircuit,
@@ -20,7 +20,7 @@ from support import (
     run_deck,
 )
 
-LOAD = Load(73e-3, 3192.0, 0.1)
+LOAD = CoilLoad(73e-3, 3192.0, 0.1)
 
 
 # ------------------------------------------------------------------------------------ op-amps
@@ -151,7 +151,7 @@ def test_linear_drive_closes_like_one_pole(header, tmp_path):
     """The amplifier of five times the bandwidth adds 2 % to the pole. The command that bypasses
     the controller adds 3 % well below the pole."""
     part = LinearDrive().netlist(
-        header, "linear", *LinearDrive().for_load(LinearDriverKeys(), LOAD)
+        header, "linear", *LinearDrive().adapt_to_load(LinearDriverKeys(), LOAD)
     )
     cards = f"""Vwanted wanted 0 AC 100
 Xdriver wanted drive ret 0 linear
@@ -167,7 +167,7 @@ Lcoils middle ret {LOAD.inductance}
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
     drive = LinearDriverKeys(rail=48.0)
-    part = LinearDrive().netlist(header, "linear", *LinearDrive().for_load(drive, LOAD))
+    part = LinearDrive().netlist(header, "linear", *LinearDrive().adapt_to_load(drive, LOAD))
     parts = [opamp_subcircuit(header, "slew"), part]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
     total = LOAD.resistance + 100.0 + 1.0 + 0.1
@@ -181,7 +181,7 @@ def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
     drive = PwmKeys()
     parts = [
         opamp_subcircuit(header),
-        PwmDrive().netlist(header, "pwm", *PwmDrive().for_load(drive, LOAD)),
+        PwmDrive().netlist(header, "pwm", *PwmDrive().adapt_to_load(drive, LOAD)),
     ]
     waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
     t, i = waves["time"], waves["i"]

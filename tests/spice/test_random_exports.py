@@ -18,10 +18,10 @@ from support import (
     Kc2spiceError,
     export_rom,
     export_scene,
-    number_of,
+    list_varied_keys,
     read_lib,
+    read_number_key,
     reduce_file,
-    varied_keys,
     with_values,
 )
 
@@ -325,17 +325,19 @@ def test_parametric_bodies(family, tmp_path):
     if moved:
         scene["push"] = {"part": "source", "kind": "force", "pins": {"ret": "gnd"}}
     part = kc.load_scene(scene).parts["body"]
-    ranges = {k: number_of(part, k, k)[0] * np.array([1 - w, 1 + w]) for k, w in widths.items()}
+    ranges = {
+        k: read_number_key(part, k, k)[0] * np.array([1 - w, 1 + w]) for k, w in widths.items()
+    }
     keys["rom"]["parameters"] = {k: ends.tolist() for k, ends in ranges.items()}
     scene = kc.load_scene(scene)
     refused(export_scene, scene, tmp_path / "out")
     (library,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
-    names = {item.key: item.param.name for item in varied_keys(body)}
+    names = {item.key: item.param.name for item in list_varied_keys(body)}
     # ports by their names: that of an accelerated base is not the reference pin of other bodies
     ports = [port.name for port in body.type.used_ports(body, scene)]
     assert ports == (["anode", moved] if moved else ["anode"])
-    middle = with_values(body, {item.key: item.axis.middle for item in varied_keys(body)})
+    middle = with_values(body, {item.key: item.axis.middle for item in list_varied_keys(body)})
     for k in range(7):
         x = rng.choice([0.0, 1.0], len(ranges)) if k < 2 else rng.uniform(0, 1, len(ranges))
         values = {

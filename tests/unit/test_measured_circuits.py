@@ -12,8 +12,8 @@ from support import (
     CircuitBranch,
     ParallelBranches,
     ac_command,
-    first_deck,
     fit_one_port,
+    make_example_deck,
     parallel_branches,
     parse_expression,
     read_measured,
@@ -102,7 +102,7 @@ def coil_file(path):
 
 def simulated(model, f):
     """Impedance [Ohm] of the emitted library by ngspice, at frequencies one by one."""
-    deck = first_deck(model, kc.subcircuit(model, "part"))
+    deck = make_example_deck(model, kc.subcircuit(model, "part"))
     found = [
         kc.simulate(replace(deck, command=ac_command(at, 2 * at, 2, "linear"))).waves for at in f
     ]

@@ -11,15 +11,15 @@ AUDIO_END = 20e3  # Hz, end of the band if the sources have no highest frequency
 DECADES = 1e4  # largest ratio of the highest to the lowest frequency of a band
 
 
-class Band(NamedTuple):
+class AcousticBand(NamedTuple):
     """Lowest and highest frequency [Hz]."""
 
     low: float
     high: float
 
 
-def acoustic_band(scene: GovernedScene) -> Band:
+def acoustic_band(scene: GovernedScene) -> AcousticBand:
     """Return the band of the ac analysis, or four decades up to the highest source frequency."""
     high = highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.is_small_signal else 0.0
-    return Band(max(start, high / DECADES), high)
+    return AcousticBand(max(start, high / DECADES), high)

@@ -124,7 +124,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
     waiting = set(nets)
     while waiting:
         net = waiting.pop()
-        for name, pin in _pins_on(scene, net):
+        for name, pin in _list_pins_on(scene, net):
             part, acoustic = scene.parts[name], scene.terminals[name, pin].domain is ACOUSTIC
             if isinstance(part.type, AcousticPart):
                 parts[name] = part
@@ -139,7 +139,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
     return AcousticLoad(faces, tuple(branches), tuple(sources), complete)
 
 
-def _pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
+def _list_pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
     """Return the pins on a net."""
     return [key for key, other in scene.nets.items() if other == net]
 

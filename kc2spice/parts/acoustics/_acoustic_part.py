@@ -42,7 +42,7 @@ from kc2spice.scene.part_records import EquilibriumConditions, Vector
 FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant=True)
 
 MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
-LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
+ELEMENT_LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
 # Ratio of the circuit value of an element to its SI value: 1 V is 1 Pa and 1 A is 1e-6 m3/s.
 SCALES = {
     MASS: 1 / ACOUSTIC.admittance,
@@ -71,7 +71,7 @@ class AcousticElement:
     @property
     def card_name(self) -> str:
         """Name of the card of the element."""
-        return f"{LETTERS[self.kind]}{self.name}"
+        return f"{ELEMENT_LETTERS[self.kind]}{self.name}"
 
     @cached_property
     def tree(self) -> Tree:
@@ -243,7 +243,7 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
     scale, ends = SCALES[item.kind], (item.plus, item.minus)
     words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
     card = Element.of(item.card_name, *ends, _scale_text(item.value, scale), **words)
-    yield card.with_unit(ACOUSTIC.value_unit(LETTERS[item.kind]))
+    yield card.with_unit(ACOUSTIC.value_unit(ELEMENT_LETTERS[item.kind]))
     if item.leak:
         yield Element.of(
             f"Gleak_{item.name}", *ends, *ends, _scale_text(item.value, scale * LEAK_RATE)

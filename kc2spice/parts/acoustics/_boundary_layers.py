@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-Layer = Literal["flow", "heat", "layer"]
+BoundaryLayer = Literal["flow", "heat", "layer"]
 # lowest corner and value at q = 0 of each function; J0(2.4048) = 0
 LOWEST_CORNERS = {
     "flow": 2.404825557695773**2,
@@ -42,7 +42,7 @@ STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
 
 
 @dataclass(frozen=True)
-class Relaxations:
+class RelaxationSum:
     """Sum of relaxations ``w / (p + q)`` of a frequency q, with its errors over a frequency band.
 
     ``loss_error`` is the largest relative error of the dissipation, and ``value_error`` is the
@@ -54,7 +54,7 @@ class Relaxations:
     loss_error: float
 
 
-def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
+def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
     """Evaluate the exact function of a boundary layer at normalised frequencies ``q`` (n,)."""
     from scipy.special import ive  # loads slowly
 
@@ -73,7 +73,9 @@ def evaluate_layer(layer: Layer, q: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def fit_boundary_layer(layer: Layer, low: float, high: float, per_decade: int) -> Relaxations:
+def fit_boundary_layer(
+    layer: BoundaryLayer, low: float, high: float, per_decade: int
+) -> RelaxationSum:
     """Fit relaxations to the function of a boundary layer.
 
     Parameters
@@ -87,7 +89,7 @@ def fit_boundary_layer(layer: Layer, low: float, high: float, per_decade: int) -
 
     Returns
     -------
-    Relaxations
+    RelaxationSum
         Corners and positive weights, and errors over the band.
 
     Examples
@@ -113,14 +115,14 @@ def fit_boundary_layer(layer: Layer, low: float, high: float, per_decade: int) -
     weights, _ = nnls(rows, target)
     fitted = terms @ weights
     positive = weights > 0
-    return Relaxations(
+    return RelaxationSum(
         tuple(zip(corners[positive].tolist(), weights[positive].tolist(), strict=True)),
         float(np.abs(fitted / exact - 1).max()),
         float(np.abs(_power(layer, q, fitted) / _power(layer, q, exact) - 1).max()),
     )
 
 
-def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np.ndarray:
+def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
     """Return corner frequencies, dense over the band and sparse below the band."""
     first, top = LOWEST_CORNERS[layer], ABOVE * high
     dense = max(first, low / BELOW)
@@ -130,7 +132,7 @@ def _space_corners(layer: Layer, low: float, high: float, per_decade: int) -> np
     return np.union1d(sparse, np.geomspace(dense, top, count))
 
 
-def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipative part of a boundary-layer function, which is linear in the weights.
 
     This part is the real part of the admittance ``flow`` of a duct, or of the admittance ``q heat``
@@ -139,11 +141,11 @@ def _dissipation(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
-def _reaction(layer: Layer, value: np.ndarray) -> np.ndarray:
+def _reaction(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
     """Return the reactive part of a boundary-layer function, which represents the stored energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
-def _power(layer: Layer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipation at a constant volume velocity of a duct, or at a constant pressure."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

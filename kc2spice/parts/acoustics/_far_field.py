@@ -18,7 +18,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from kc2spice.core.laws import low_pass_response
-from kc2spice.parts.acoustics._sound_filter import delay_wave, pass_delay
+from kc2spice.parts.acoustics._sound_filter import delay_wave, low_pass_delay
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
 # Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63; its
@@ -78,7 +78,7 @@ def propagate_wave(
     ``sound`` is the wave (points,) of the netlist. It is zero before the first point. The delay of
     the low pass is subtracted from the travel time.
     """
-    first = travel_time(keys, distance) - pass_delay(keys.sound_corner)
+    first = travel_time(keys, distance) - low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(edge_delay(keys, angle))
     return delay_wave(time, sound, zip(weights, first + offsets, strict=True))
 

@@ -21,7 +21,7 @@ from kc2spice.parts.acoustics._acoustic_part import (
     AcousticNetwork,
     AcousticPart,
 )
-from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
+from kc2spice.parts.acoustics._boundary_layers import RelaxationSum, fit_boundary_layer
 from kc2spice.parts.acoustics._fluids import (
     LARGEST_AREA,
     LARGEST_LENGTH,
@@ -37,7 +37,7 @@ SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 # relaxations in each decade of frequency; the error of the wall losses is below 1 %
 CORNERS_PER_DECADE = 2
 # ratio of largest dimension to wavelength up to which the pressure counts as uniform
-LARGEST_SHARE = 0.1
+LARGEST_WAVELENGTH_RATIO = 0.1
 # ratio of surface to volume^(2/3) for a cube, and for a sphere, whose surface is the smallest
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
@@ -81,7 +81,7 @@ class CavityKeys(FluidKeys):
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
     @property
-    def longest(self) -> float:
+    def longest_dimension(self) -> float:
         """Longest inner dimension [m]."""
         return self.length or self.volume ** (1 / 3)
 
@@ -129,16 +129,19 @@ stop = "2 kHz"
             message = "the surface is smaller than that of a sphere of this volume"
             got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
             yield part.wrong("surface", message, got, expected)
-        limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
+        limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         if scene.analysis.is_small_signal and acoustic_band(scene).high > limit:
+            size = format_quantity(float(f"{keys.longest_dimension:.4g}"), "m")
             warnings.warn(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
-                f"{format_quantity(float(f'{keys.longest:.4g}'), 'm')} is longer than a tenth of a "
+                f"{size} is longer than a tenth of a "
                 "wavelength, and its pressure is not uniform: use a tube",
                 stacklevel=2,
             )
 
-    def _relaxations(self, part: Part[CavityKeys], scene: GovernedScene) -> Relaxations | None:
+    def _fit_relaxations(
+        self, part: Part[CavityKeys], scene: GovernedScene
+    ) -> RelaxationSum | None:
         """Return the thermal relaxations at the walls; None without wall losses."""
         keys, fluid = part.keys, part.keys.fluid
         if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
@@ -149,7 +152,7 @@ stop = "2 kHz"
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
         """Return the network: compliance of the volume, leak, and heat exchange at the walls."""
-        keys, walls = part.keys, self._relaxations(part, scene)
+        keys, walls = part.keys, self._fit_relaxations(part, scene)
         volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
         elements = [volume]
         if keys.leak is not None:
@@ -167,20 +170,20 @@ stop = "2 kHz"
         )
         return AcousticNetwork((), {}, tuple(elements), validity)
 
-    def _describe_walls(self, walls: Relaxations | None) -> str:
+    def _describe_walls(self, walls: RelaxationSum | None) -> str:
         if walls is None:
             return "without losses at the walls"
         return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
 
     def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        keys, walls = part.keys, self._relaxations(part, scene)
-        limit = LARGEST_SHARE * keys.fluid.sound_speed / keys.longest
+        keys, walls = part.keys, self._fit_relaxations(part, scene)
+        limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         yield (
             f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, {keys.fluid.words}; "
             f"{self._describe_walls(walls)}"
         )
-        share = (2 * math.pi * LARGEST_SHARE) ** 2 / 2
+        share = (2 * math.pi * LARGEST_WAVELENGTH_RATIO) ** 2 / 2
         yield Neglected(
             "waves in the cavity",
             "uniform pressure",
@@ -190,7 +193,7 @@ stop = "2 kHz"
 
 
 def list_relaxations(
-    relaxations: Relaxations,
+    relaxations: RelaxationSum,
     ends: tuple[str, str],
     compliance: float,
     time: float,

@@ -37,7 +37,7 @@ from kc2spice.parts.acoustics._acoustic_part import (
     AcousticNetwork,
     AcousticPart,
 )
-from kc2spice.parts.acoustics._boundary_layers import Relaxations, fit_boundary_layer
+from kc2spice.parts.acoustics._boundary_layers import RelaxationSum, fit_boundary_layer
 from kc2spice.parts.acoustics._duct_law import DuctLaw
 from kc2spice.parts.acoustics._fluids import (
     LARGEST_AREA,
@@ -51,14 +51,14 @@ from kc2spice.scene.model import GROUND, Build, GovernedScene, JoinedScene, Part
 from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
 
-End = Literal["none", "unflanged", "flanged"]
-END_CORRECTIONS: Mapping[End, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
+EndType = Literal["none", "unflanged", "flanged"]
+END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
 WIDEST_DUCT = 1.84  # k a above which the first transverse mode of a circular duct propagates
 SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400
 FEW_SECTIONS = 10  # largest number of sections whose losses are as accurate as the losses of a vent
 # corners in each decade for longer ducts; the losses have an error below 5 %
-CORNERS_OF_SECTIONS = 1
+CORNERS_OF_LONG_DUCTS = 1
 FAR_END = "b"
 FAR_METER = "Vflow_b"
 
@@ -101,11 +101,11 @@ class DuctKeys(FluidKeys):
 class VentKeys(DuctKeys):
     """Short duct, such as a hole in a housing or a port of a loudspeaker box."""
 
-    end_a: End = Field(
+    end_a: EndType = Field(
         "flanged",
         description="End correction at the end a: with a flange, without a flange, or none",
     )
-    end_b: End = Field(
+    end_b: EndType = Field(
         "flanged",
         description="End correction at the end b; none if a part of type radiation is joined there",
     )
@@ -114,11 +114,13 @@ class VentKeys(DuctKeys):
 class TubeKeys(DuctKeys):
     """Long duct, such as a tube of a measurement or a horn of constant cross section."""
 
-    end_a: End = Field(
-        "none", description="End correction at the end a: with a flange, without a flange, or none"
+    end_a: EndType = Field(
+        "none",
+        description="End correction at the end a: with a flange, without a flange, or none",
     )
-    end_b: End = Field(
-        "none", description="End correction at the end b: with a flange, without a flange, or none"
+    end_b: EndType = Field(
+        "none",
+        description="End correction at the end b: with a flange, without a flange, or none",
     )
     closed: bool = Field(
         False, description="Whether a rigid wall closes the end b, which then has no pin"
@@ -132,7 +134,7 @@ class TubeKeys(DuctKeys):
 
 
 @dataclass(frozen=True)
-class Duct:
+class DuctModel:
     """Sections of a duct with their losses.
 
     ``viscous`` and ``thermal`` are the relaxations of the boundary layers; None without losses.
@@ -140,8 +142,8 @@ class Duct:
     """
 
     sections: int
-    viscous: Relaxations | None
-    thermal: Relaxations | None
+    viscous: RelaxationSum | None
+    thermal: RelaxationSum | None
     phase_error: float
 
     @property
@@ -207,11 +209,11 @@ class DuctPart(AcousticPart[DuctKeys]):
         """Return the number of sections."""
         return 1
 
-    def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> Duct:
+    def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> DuctModel:
         """Return sections and losses of a duct, accurate in the frequency band of the scene."""
         keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
         count = self.sections(part, scene)
-        corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_SECTIONS
+        corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_LONG_DUCTS
         scale = 2 * math.pi * keys.inner_radius**2
         viscous = thermal = None
         if keys.losses and fluid.viscosity:
@@ -221,7 +223,7 @@ class DuctPart(AcousticPart[DuctKeys]):
             ends = (float(f"{scale * f / fluid.diffusivity:.4g}") for f in band)
             thermal = fit_boundary_layer("heat", *ends, corners)
         phase = 2 * math.pi * band.high * keys.length / (count * fluid.sound_speed)
-        return Duct(count, viscous, thermal, phase**2 / 24)
+        return DuctModel(count, viscous, thermal, phase**2 / 24)
 
     def network(self, part: Part[DuctKeys], scene: GovernedScene) -> AcousticNetwork:
         """Return the acoustic elements of all sections of the duct."""
@@ -229,22 +231,22 @@ class DuctPart(AcousticPart[DuctKeys]):
         elements = tuple(self._list_elements(part, duct))
         words = (
             f"duct of {format_quantity(part.keys.length, 'm')} and radius "
-            f"{format_quantity(part.keys.inner_radius, 'm')}, {self._describe(duct)}; small "
+            f"{format_quantity(part.keys.inner_radius, 'm')}, {self._describe_duct(duct)}; small "
             "amplitudes, fluid at rest"
         )
-        return AcousticNetwork((), {}, elements, words, exits=self._exits(part))
+        return AcousticNetwork((), {}, elements, words, exits=self._list_exits(part))
 
-    def _exits(self, part: Part[DuctKeys]) -> dict[str, str]:
+    def _list_exits(self, part: Part[DuctKeys]) -> dict[str, str]:
         """Return the node behind the meter of the far end."""
         return {} if self.closed(part) else {FAR_END: "out"}
 
-    def _describe(self, duct: Duct) -> str:
+    def _describe_duct(self, duct: DuctModel) -> str:
         """Describe the sections and losses of a duct with their errors in the frequency band."""
         losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
 
-    def _list_elements(self, part: Part[DuctKeys], duct: Duct) -> Iterator[AcousticElement]:
+    def _list_elements(self, part: Part[DuctKeys], duct: DuctModel) -> Iterator[AcousticElement]:
         """Yield end corrections, series elements and shunt elements in the order of the duct."""
         keys, fluid, count = part.keys, part.keys.fluid, duct.sections
         area = math.pi * keys.inner_radius**2
@@ -259,10 +261,10 @@ class DuctPart(AcousticPart[DuctKeys]):
                 last = outer if end == FAR_END else last
         nodes = [start, *map("n{}".format, range(1, count)), last]
         for k in range(count):
-            yield from _list_series(duct, (nodes[k], nodes[k + 1]), k + 1, part, step)
+            yield from _list_series_elements(duct, (nodes[k], nodes[k + 1]), k + 1, part, step)
         for k, node in enumerate(nodes):
             width = step / 2 if k in (0, count) else step
-            yield from _list_shunt(duct, node, k + 1, part, width)
+            yield from _list_shunt_elements(duct, node, k + 1, part, width)
 
     # --- the far end ------------------------------------------------------------------------------
 
@@ -301,7 +303,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         keys, fluid = part.keys, part.keys.fluid
         area = math.pi * keys.inner_radius**2
         mass = fluid.density * keys.length / area
-        words = self._describe(self.duct(part, scene))
+        words = self._describe_duct(self.duct(part, scene))
         yield f"acoustic mass {mass:.4g} kg/m4, {fluid.words}: {words}"
         yield Neglected("vortices at the ends", "small amplitudes", "losses at high flow")
         yield Neglected("radiation of open ends", "end corrections are masses", "join a radiation")
@@ -333,8 +335,8 @@ def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) 
     return DuctLaw(name, nodes, ends, tuple(channels), tuple(walls))
 
 
-def _list_series(
-    duct: Duct, ends: tuple[str, str], index: int, part: Part[DuctKeys], step: float
+def _list_series_elements(
+    duct: DuctModel, ends: tuple[str, str], index: int, part: Part[DuctKeys], step: float
 ) -> Iterator[AcousticElement]:
     """Yield the series elements of a section: a mass, or parallel resistance-mass branches."""
     keys, (start, end) = part.keys, ends
@@ -350,8 +352,8 @@ def _list_series(
         yield AcousticElement(MASS, name, node, end, repr(inertia / weight))
 
 
-def _list_shunt(
-    duct: Duct, node: str, index: int, part: Part[DuctKeys], width: float
+def _list_shunt_elements(
+    duct: DuctModel, node: str, index: int, part: Part[DuctKeys], width: float
 ) -> Iterator[AcousticElement]:
     """Yield the compliance of a section of the duct, and its thermal relaxations."""
     keys, fluid = part.keys, part.keys.fluid

@@ -39,7 +39,7 @@ from kc2spice.parts.acoustics._radiation_impedance import (
     Shape,
     list_elements,
 )
-from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, delay_wave, pass_delay
+from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, delay_wave, low_pass_delay
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene, Terminal
 from kc2spice.scene.part_records import Neglected, Vector
@@ -219,7 +219,7 @@ stop = "20 kHz"
             return {name: waves[name] / laws.low_pass_response(2j * np.pi * x, corner)}
         if scale != "time":
             return {}
-        return {name: delay_wave(x, waves[name], [(1.0, -pass_delay(corner))])}
+        return {name: delay_wave(x, waves[name], [(1.0, -low_pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
         """Return the equations of the part."""

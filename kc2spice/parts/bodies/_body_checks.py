@@ -18,8 +18,8 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
 from kc2spice.parts.bodies._body_ports import (
-    contacts_on,
     flow_name,
+    list_contacts_on,
     mechanical_ports,
     paired_ports,
     wave_name,
@@ -163,7 +163,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
-        contact = unlike and any(contacts_on(part, build.scene))
+        contact = unlike and any(list_contacts_on(part, build.scene))
         loaded = None
         if "time" in waves and (error > FAILURE_ERROR or contact):
             loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))

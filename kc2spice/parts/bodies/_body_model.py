@@ -26,9 +26,9 @@ from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._box import (
     RANGES_KEY,
     check_corners,
+    list_varied_keys,
     range_middles,
-    values_of_part,
-    varied_keys,
+    read_key_values,
     with_values,
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -161,7 +161,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ModelOverRanges:
         """Return the reduced model over the ranges of ``rom.parameters``."""
-        keys = varied_keys(part)
+        keys = list_varied_keys(part)
         middle = with_values(part, range_middles(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
@@ -226,7 +226,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
         """Return the full model with the ports of the scene, on the mesh of the middle values."""
-        keys, names = varied_keys(part), self.used_port_names(part, scene)
+        keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
         middle = with_values(part, range_middles(keys))
@@ -239,8 +239,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if full:
             # The matrices of a full model cannot represent some losses.
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
-        if keys := varied_keys(part):
-            return self.varying(part, scene, clock).at(values_of_part(keys))
+        if keys := list_varied_keys(part):
+            return self.varying(part, scene, clock).at(read_key_values(keys))
         # ``build`` uses these values, so they are part of the cache key. Of the code of ``build``,
         # the key contains only hashes of modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
@@ -260,7 +260,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 band = self.limit_band(target.band, model_key, lambda: selected)
                 norm = target.norm or choose_default_norm(selected)
                 if constants:
-                    selected = _with_least_damping(part, selected, band)
+                    selected = _replace_by_least_damping(part, selected, band)
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
@@ -282,7 +282,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 modal = make_highest_modes_massless(modal, target.tolerance)
             labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
             if constants:
-                losses = losses_of(part, selected)
+                losses = make_complex_constants(part, selected)
                 return replace(make_complex_constants_model(modal, losses), **labels)
             if tangent:
                 modal = add_dielectric_loss(modal, tangent)
@@ -354,13 +354,13 @@ def has_complex_constants(part: Part) -> bool:
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
-def damping_of(part: Part) -> Damping:
+def find_damping(part: Part) -> Damping:
     """Return the damping from the keys of a body."""
     damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
     return damping
 
 
-def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
+def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
     """Return the complex constants that represent the damping of a body.
 
     The constants hold at the frequency in the keys, or at a resonance of the ``model``.
@@ -369,7 +369,7 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     ------
     UsageError : no resonance determines the frequency.
     """
-    damping, facts = damping_of(part), model.facts
+    damping, facts = find_damping(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if at is None:
         where = f"{part.name}.damping.at"
@@ -382,12 +382,14 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
 
 
-def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
+def _replace_by_least_damping(
+    part: Part, model: LinearModel, band: tuple[float, float]
+) -> LinearModel:
     """Return ``model`` with viscous damping that nowhere in the band exceeds the complex constants.
 
     With complex constants, the error of a reduction is then not larger.
     """
-    loss = losses_of(part, model).loss_factor
+    loss = make_complex_constants(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
@@ -449,13 +451,13 @@ def hash_file(path: Path) -> str:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):
             return "no regular file"
-        return _content(path, result.st_size, result.st_mtime_ns)
+        return _hash_content(path, result.st_size, result.st_mtime_ns)
     except OSError:
         return "absent"
 
 
 @lru_cache(maxsize=64)
-def _content(path: Path, size: int, changed: int) -> str:
+def _hash_content(path: Path, size: int, changed: int) -> str:
     """Return the hash of a file; its size and its time of change are keys of the cache."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -13,7 +13,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_voltage
 from kc2spice.parts.bodies._body_model import BodyModel
 from kc2spice.parts.bodies._body_ports import flow_name, paired_ports, wave_name
-from kc2spice.parts.bodies._box import varied_keys
+from kc2spice.parts.bodies._box import list_varied_keys
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
 from kc2spice.rom.linear_model import LinearModel
@@ -71,7 +71,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
-        if keys := varied_keys(part):
+        if keys := list_varied_keys(part):
             from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
             result = self.varying(part, build.scene, Clock())

@@ -13,7 +13,7 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.naming import names_of
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Surface, TouchablePart
+from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.modal import resonators
@@ -176,7 +176,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 
     def surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface | None:
+    ) -> ContactSurface | None:
         """Return the mechanical ports that a contact uses; None without mechanical ports."""
         mechanical = names_of(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
@@ -185,7 +185,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         if not names:
             return None
         modulus = self.indentation_modulus(part)
-        return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
+        return ContactSurface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
         """Return the modulus [Pa] of the half-space under a contact; None for other bodies."""
@@ -235,7 +235,7 @@ def _names_in_scene(port: Port) -> set[str]:
     return {port.name, *port.terminals}
 
 
-def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
+def list_contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
     """Yield the contacts that press on ports of ``part``."""
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
@@ -245,7 +245,7 @@ def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
 
 def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
     """Return whether a contact presses on ``part`` and requires ports without inertia."""
-    return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
+    return any(contact.keys.inertia == "massless" for contact in list_contacts_on(part, scene))
 
 
 def inert_ports(model: LinearModel) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ class VariedKey:
         return Param(name, self.value, unit, self.key, self.low, self.high)
 
 
-def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
+def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     """Return the keys that ``rom.parameters`` names.
 
     Raises
@@ -67,14 +67,14 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
         )
     result = []
     for key, ends in ranges.items():
-        value, unit = number_of(part, key, where)
-        low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
+        value, unit = read_number_key(part, key, where)
+        low, high = (read_number_key(with_values(part, {key: end}), key, where)[0] for end in ends)
         zero = part.type.ranges_from_zero  # type: ignore[attr-defined]
         result.append(make_varied_key(key, unit, value, (low, high), f"{where}.{key}", zero))
     return tuple(result)
 
 
-def values_of_part(keys: Iterable[VariedKey]) -> dict[str, float]:
+def read_key_values(keys: Iterable[VariedKey]) -> dict[str, float]:
     """Return the values that the part has for the keys."""
     return {item.key: item.value for item in keys}
 
@@ -116,7 +116,7 @@ def make_varied_key(
 def check_corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
     """Yield errors of the parameter ranges before a full model is made."""
     try:
-        keys = varied_keys(part)
+        keys = list_varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
         for ends in product(*ranges.values()) if ranges else ():
             corner = with_values(part, dict(zip(ranges, ends, strict=True)))
@@ -185,7 +185,7 @@ def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
     return validate(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
 
 
-def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
+def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:
     """Return the value of a numeric key of the part, and its SI unit.
 
     Raises

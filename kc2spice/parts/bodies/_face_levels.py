@@ -20,8 +20,8 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.parts.bodies._face_response import (
     HALF_OCTAVE,
     LOWEST_SHARE,
-    FaceOfBody,
-    FacingFluid,
+    FluidAtFace,
+    LoadedFace,
 )
 from kc2spice.scene.part_records import Neglected
 
@@ -36,7 +36,7 @@ MIN_PISTON_SHARE = 0.5  # ratio of mean to rms velocity below which a warning is
 
 
 @dataclass(frozen=True)
-class FaceLevels:
+class FaceLevelEffects:
     """Effects of assumptions on the level [dB] of a face, at the resonance with the largest level.
 
     Attributes
@@ -96,7 +96,7 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
     return float(2 * (radius[k] + share * (radius[k + 1] - radius[k])))
 
 
-def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
+def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     """Compare a face with a piston; None without a resonance in the band."""
     hertz, motion = face.motions()
     select = np.abs(motion.volumes) > 0
@@ -107,12 +107,12 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
         motion.places, motion.areas, motion.normal[:, select], motion.axis, motion.axisymmetric
     )
     main, tone, level = 0, None, 0.0
-    if face.audible:
+    if face.is_audible:
         low = hertz[0] * LOWEST_SHARE
         high = face.end if face.count > 1 else hertz[0] * HALF_OCTAVE
-        tone, level = face.loudest(low, high)
+        tone, level = face.find_loudest(low, high)
         main = int(np.abs(hertz - tone).argmin())
-    result = FaceLevels(
+    result = FaceLevelEffects(
         float(hertz[main]),
         float(motion.piston_ratios[main]),
         float(motion.peak_ratios[main]),
@@ -122,7 +122,7 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
     if tone is None:
         return result
     sides = face.levels(tone * np.array([1 - TOLERANCE, 1 + TOLERANCE])) - level
-    damped = face.loudest_near(tone, damping=2.0)
+    damped = face.find_largest_level(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
         # The frequency of a tone is fixed, while the resonance frequencies fall.
@@ -133,8 +133,8 @@ def estimate_face_levels(face: FaceOfBody) -> FaceLevels | None:
 
 
 def _compare_with_piston(
-    result: FaceLevels, face: FaceOfBody, motion: FaceMotion, hertz: np.ndarray, main: int
-) -> FaceLevels:
+    result: FaceLevelEffects, face: LoadedFace, motion: FaceMotion, hertz: np.ndarray, main: int
+) -> FaceLevelEffects:
     """Return ``result`` with the differences between the motion of the face and of a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
@@ -159,7 +159,7 @@ def _compare_with_piston(
     )
 
 
-def describe_piston_difference(name: str, facing: FacingFluid, levels: FaceLevels) -> str:
+def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevelEffects) -> str:
     """Return the warning that a face does not move like a piston; empty if it does."""
     share = levels.piston_ratio
     differences = (levels.worst, levels.near_field)
@@ -184,7 +184,7 @@ def describe_piston_difference(name: str, facing: FacingFluid, levels: FaceLevel
     )
 
 
-def _describe_near_field(levels: FaceLevels) -> str:
+def _describe_near_field(levels: FaceLevelEffects) -> str:
     """Describe the largest effect of the near field in a closed volume."""
     if math.isinf(levels.shift):
         return "is not estimated, because cross modes of the volume propagate"
@@ -193,7 +193,7 @@ def _describe_near_field(levels: FaceLevels) -> str:
 
 
 def list_level_effects(
-    name: str, port: str, levels: FaceLevels, *, direct: bool
+    name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[Neglected]:
     """Yield the assumptions about a face with their effects on its level.
 

@@ -43,7 +43,7 @@ SILENCE = 1e-300  # Pa/V, below which a face counts as silent
 
 
 @dataclass(frozen=True)
-class FacingFluid:
+class FluidAtFace:
     """Fluid in front of a face, in the parts ``names``.
 
     ``radiation`` are the keys of a part of type ``radiation`` on the face, None if the face works
@@ -58,7 +58,7 @@ class FacingFluid:
 
 
 @dataclass(frozen=True)
-class FaceOfBody:
+class LoadedFace:
     """Full model with an acoustic port, the fluid in front of it, and its load.
 
     ``joined`` are the names of all acoustic ports that the scene joins, in the order of the load.
@@ -67,7 +67,7 @@ class FaceOfBody:
 
     device: FiniteElementModel
     port: str
-    facing: FacingFluid
+    facing: FluidAtFace
     joined: tuple[str, ...]
     load: AcousticLoad
     end: float
@@ -79,20 +79,20 @@ class FaceOfBody:
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     @property
-    def audible(self) -> bool:
+    def is_audible(self) -> bool:
         """Whether electrodes drive the model, and its sound reaches a radiating surface."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)
 
     @cached_property
-    def _reduced(self) -> LinearModel:
+    def _reduced_model(self) -> LinearModel:
         """Reduced model, whose basis contains the lowest modes."""
         return project_lowest_modes(self.device)
 
     @cached_property
-    def _resonances(self) -> np.ndarray:
+    def _resonance_frequencies(self) -> np.ndarray:
         """Resonance frequencies [Hz] of the reduced model with shorted electrodes."""
-        squares = eigh(self._reduced.K, self._reduced.M, eigvals_only=True)
+        squares = eigh(self._reduced_model.K, self._reduced_model.M, eigvals_only=True)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi))
 
     def levels(self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0) -> np.ndarray:
@@ -102,11 +102,11 @@ class FaceOfBody:
         """
         f = np.asarray(hertz, dtype=float)
         s = 2j * np.pi * f
-        ports = self._reduced.ports
+        ports = self._reduced_model.ports
         drive = next(k for k, port in enumerate(ports) if port.electrical)
         names = [port.name for port in ports]
         faces = [names.index(name) for name in self.joined]
-        H = scale_losses(self._reduced, damping).transfer(f)[:, faces]
+        H = scale_losses(self._reduced_model, damping).transfer(f)[:, faces]
         Z, sound = self.load.respond(f)
         loop = np.eye(len(faces)) + s[:, None, None] * H[:, :, faces] @ Z
         volume = np.linalg.solve(loop, H[:, :, [drive]])[..., 0]
@@ -115,9 +115,11 @@ class FaceOfBody:
         pressure = np.abs(s * np.sum((sound * volume)[:, coupled], axis=1))
         return np.asarray(20 * np.log10(np.maximum(pressure, SILENCE)))
 
-    def loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
+    def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
         """Return the frequency [Hz] in a range at which the level is largest, and this level."""
-        near = self._resonances[(self._resonances > low / 2) & (self._resonances < 2 * high)]
+        near = self._resonance_frequencies[
+            (self._resonance_frequencies > low / 2) & (self._resonance_frequencies < 2 * high)
+        ]
         f = np.union1d(np.geomspace(low, high, SEARCH_POINTS), np.outer(near, MODE_RATIOS))
         f = f[(f >= low) & (f <= high)]
         levels = self.levels(f, damping)
@@ -134,9 +136,9 @@ class FaceOfBody:
         top = int(levels.argmax())
         return float(f[top]), float(levels[top])
 
-    def loudest_near(self, frequency: float, damping: float = 1.0) -> float:
+    def find_largest_level(self, frequency: float, damping: float = 1.0) -> float:
         """Return the largest level [dB] within half an octave of a frequency [Hz]."""
-        return self.loudest(frequency / HALF_OCTAVE, frequency * HALF_OCTAVE, damping)[1]
+        return self.find_loudest(frequency / HALF_OCTAVE, frequency * HALF_OCTAVE, damping)[1]
 
 
 def scale_losses(model: LinearModel, factor: float) -> LinearModel:

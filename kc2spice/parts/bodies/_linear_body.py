@@ -29,7 +29,7 @@ from kc2spice.parts.bodies._body_model import (
     reduction_target,
 )
 from kc2spice.parts.bodies._body_ports import paired_ports
-from kc2spice.parts.bodies._box import values_of_part, varied_keys, with_values
+from kc2spice.parts.bodies._box import list_varied_keys, read_key_values, with_values
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -62,7 +62,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         from kc2spice.bodies.impedance import analyse_impedance
 
         frequency = waves["frequency"].real
-        result, keys = impedance_metrics(frequency, z), varied_keys(part)
+        result, keys = impedance_metrics(frequency, z), list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
         # The sensitivities d ln(metric) / d ln(key) are central differences within the ranges.
@@ -75,7 +75,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
             read = []
             for end in ends:
-                model = box.at(values_of_part(keys) | {key.key: float(end)})
+                model = box.at(read_key_values(keys) | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 try:
                     read.append(

@@ -30,8 +30,8 @@ from kc2spice.scene.part_records import Neglected
 
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
-    from kc2spice.parts.bodies._face_levels import FaceLevels
-    from kc2spice.parts.bodies._face_response import FaceOfBody, FacingFluid
+    from kc2spice.parts.bodies._face_levels import FaceLevelEffects
+    from kc2spice.parts.bodies._face_response import FluidAtFace, LoadedFace
 
 MEAN_CAPTION = "Mean displacement of each radiating face along its outward normal."
 LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice.rom")
@@ -59,22 +59,22 @@ class SoundingBody(LinearBody[FieldKeysT]):
         """
         return {}
 
-    def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FacingFluid]:
+    def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FluidAtFace]:
         """Return the fluid in front of each face, keyed by the name of the port."""
-        from kc2spice.parts.bodies._face_response import FacingFluid
+        from kc2spice.parts.bodies._face_response import FluidAtFace
 
         result = {}
         for port in self.used_ports(part, scene):
             if port.domain is not ACOUSTIC:
                 continue
-            facing = list[FacingFluid]()
+            facing = list[FluidAtFace]()
             for name, pin in scene.joined_pins(part.name, port.terminals[0]):
                 kind, keys = scene.parts[name].type, scene.parts[name].keys
                 if isinstance(kind, AcousticPart) and pin in kind.ends(scene.parts[name]):
                     assert isinstance(keys, FluidKeys)
                     radiation = keys if isinstance(keys, RadiationKeys) else None
                     volume = kind.fluid_volume(scene.parts[name])
-                    facing.append(FacingFluid((name,), keys.fluid, radiation, volume))
+                    facing.append(FluidAtFace((name,), keys.fluid, radiation, volume))
             if facing:
                 direct = [item for item in facing if item.radiation is not None]
                 others = direct[:1] or facing
@@ -88,7 +88,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         facing = self.facing_fluids(part, scene)
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
-    def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevels]:
+    def face_levels(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FaceLevelEffects]:
         """Return the effects of the assumptions about each face, keyed by the name of its port."""
         result = {}
         for port, facing in self.facing_fluids(part, scene).items():
@@ -98,11 +98,11 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def _load_levels(
-        self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FacingFluid
-    ) -> FaceLevels | None:
+        self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FluidAtFace
+    ) -> FaceLevelEffects | None:
         from kc2spice.parts.acoustics._acoustic_load import collect_load
-        from kc2spice.parts.bodies._face_levels import FaceLevels
-        from kc2spice.parts.bodies._face_response import MAX_MODES, FaceOfBody
+        from kc2spice.parts.bodies._face_levels import FaceLevelEffects
+        from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
 
         end = float(self.reduction(part, scene).band[1])
         # A transient excites the first resonance most, and has no band of sound.
@@ -124,21 +124,21 @@ class SoundingBody(LinearBody[FieldKeysT]):
             "load": {"ports": list(joined), **load.record()},
         }
 
-        def build() -> FaceLevels | None:
+        def build() -> FaceLevelEffects | None:
             """Compute the effects of the assumptions with the full model."""
-            face = FaceOfBody(self.device(part, scene), port, facing, joined, load, end, count)
+            face = LoadedFace(self.device(part, scene), port, facing, joined, load, end, count)
             return self._estimate_levels(part, scene, face)
 
-        def load_or_estimate() -> FaceLevels | None:
+        def load_or_estimate() -> FaceLevelEffects | None:
             """Return the effects of the assumptions from the cache on disk, or compute them."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
-            return load_or_build("face", key, build, classes=(FaceLevels,), sources=sources)
+            return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 
         return scene.workspace.get_or_compute(f"{port} of {part.name}", key, load_or_estimate)
 
     def _estimate_levels(
-        self, part: Part[FieldKeysT], scene: Scene, face: FaceOfBody
-    ) -> FaceLevels | None:
+        self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
+    ) -> FaceLevelEffects | None:
         """Return the effects of the assumptions about a face, also on rings of other diameters."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
@@ -146,10 +146,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
         if result is None or result.detuned is None:
             return result
         rings = self.devices_on_rings(part, scene, result.node, (-TOLERANCE, TOLERANCE))
-        level, others = face.loudest_near(result.resonance) if rings else 0.0, []
+        level, others = face.find_largest_level(result.resonance) if rings else 0.0, []
         for device in rings.values():
             changed = replace(face, device=device)
-            others.append(changed.loudest_near(result.resonance) - level)
+            others.append(changed.find_largest_level(result.resonance) - level)
         return replace(result, rings=tuple(rings), support=tuple(others))
 
     def build(
@@ -248,7 +248,7 @@ def _states_motion(names: Iterable[str], scene: Scene) -> bool:
 
 
 def _describe_peak(
-    port: str, levels: FaceLevels, waves: Waveforms, displacement: np.ndarray
+    port: str, levels: FaceLevelEffects, waves: Waveforms, displacement: np.ndarray
 ) -> str:
     """Describe the largest displacement of a face at resonance, from mode shape and mean."""
     place = levels.resonance

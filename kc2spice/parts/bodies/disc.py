@@ -45,7 +45,7 @@ from kc2spice.scene.parttype import register
 _RADIAL_CELLS = 20
 
 
-class Feedback(Section):
+class FeedbackKeys(Section):
     """Ring or disc of the top electrode that drives the input of a self-oscillating buzzer.
 
     Data sheets show a tongue-shaped electrode. A ring of the same area represents the tongue,
@@ -75,7 +75,7 @@ class DiscLayer(Section):
         gt=0,
         description="Diameter of the electrodes of the layer; by default the diameter of the layer",
     )
-    feedback: Feedback | None = None
+    feedback: FeedbackKeys | None = None
     poling: Literal["up", "down"] = Field(
         "up", description="Direction of poling of a ceramic layer"
     )
@@ -180,7 +180,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         electrodes = {"anode": conductors[-1], "cathode": conductors[0]}
     for layer, piece in zip(disc.layers, pieces, strict=True):
         if layer.feedback is not None:
-            ring = _face(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
+            ring = _make_ring(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
             electrodes.setdefault("feedback", []).append(ring)
     top, across = pieces[-1].box[1][1], disc.largest_diameter
     patch = disc.centre or min(top, disc.layers[-1].diameter)
@@ -188,7 +188,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         pieces,
         electrodes,
         conductors[1:-1] if series else (),
-        {"centre": _face(0.0, patch / 2, top)},
+        {"centre": _make_ring(0.0, patch / 2, top)},
         _make_supports(disc, pieces, across / 2),
         faces=list_outer_faces(((0.0, across / 2), (0.0, top))),
         size=max(top, across) / (2 * _RADIAL_CELLS),
@@ -198,7 +198,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
     )
 
 
-def _face(inner: float, outer: float, height: float) -> Box:
+def _make_ring(inner: float, outer: float, height: float) -> Box:
     """Return a circular ring, as a face at a height."""
     return (inner, outer), (height, height)
 
@@ -250,7 +250,7 @@ def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[l
         radius = min(pieces[ceramic[0]].box[0][1], pieces[metal[0]].box[0][1])
         if metal[0] != last_metal:
             result.append([])
-        result[-1].append(_face(0.0, radius, height))
+        result[-1].append(_make_ring(0.0, radius, height))
         last_metal = metal[0]
     return result
 
@@ -270,9 +270,11 @@ def _electrode_faces(
     radius = min(diameters) / 2
     ring = disc.layers[below].feedback if below in ceramic else None
     if ring is None:
-        return [_face(0.0, radius, height)]
+        return [_make_ring(0.0, radius, height)]
     inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
-    return [_face(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]]
+    return [
+        _make_ring(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]
+    ]
 
 
 def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
@@ -282,12 +284,12 @@ def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[t
     if isinstance(disc.support, Node):
         r = disc.support.node / 2
         lowest = next(piece.box[1][0] for piece in pieces if piece.box[0][1] >= r)
-        return [("z", _face(r, r, lowest))]
+        return [("z", _make_ring(r, r, lowest))]
     rim = [piece.box[1] for piece in pieces if piece.box[0][1] >= radius * (1 - 1e-9)]
     z = rim[0][0], rim[-1][1]
     if disc.support == "clamped":
         return [("xz", ((radius, radius), z))]
-    return [("z", _face(radius, radius, sum(z) / 2))]
+    return [("z", _make_ring(radius, radius, sum(z) / 2))]
 
 
 class Disc(BondedBody[DiscKeys]):

@@ -103,7 +103,7 @@ RUN_POINTS = 1e3
 ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
-class Geometry:
+class HeatGeometry:
     """Solid of a body, with lookups of its groups by name and kind."""
 
     def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
@@ -148,7 +148,7 @@ def _is_point(source: str | HeatSourceKeys) -> bool:
 
 
 def _make_setup(
-    keys: HeatBodyKeys, geometry: Geometry, interfaces: list[tuple[np.ndarray, float]]
+    keys: HeatBodyKeys, geometry: HeatGeometry, interfaces: list[tuple[np.ndarray, float]]
 ) -> HeatBoundaryConditions:
     solid = geometry.solid.geometry
     fixed = [find_face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
@@ -175,7 +175,9 @@ def _make_setup(
     )
 
 
-def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
+def _read_solid(
+    keys: HeatBodyKeys, home: Path
+) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
     """Read the mesh, with double nodes at its interfaces."""
     groups = read_groups(keys, home, keys.splits)
     owner = assign_materials(keys.materials, groups)
@@ -199,10 +201,10 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
         interfaces.append((facets, item.resistance))
     if interfaces:
         solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
-    return Geometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
+    return HeatGeometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
 
 
-def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
+def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
     """Return a line mesh through the layers, from the bottom up, with double nodes at joints."""
     layers, count = keys.layers[::-1], LAYER_ELEMENTS * keys.refine
     thickness = np.array([layer.thickness for layer in layers])
@@ -245,7 +247,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, 
         return result
 
     heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])
-    return Geometry(heat_solid, find_group), interfaces
+    return HeatGeometry(heat_solid, find_group), interfaces
 
 
 class HeatBody(LinearBody[HeatBodyKeys]):
@@ -375,11 +377,11 @@ dc = "1 W"
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
             return reduce_with_interfaces(model, prescribed_ports, **changed)
 
-        return _reduce_warm_or_cold(part, aims["norm"], reduce)
+        return _reduce_with_peak_fallback(part, aims["norm"], reduce)
 
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
         """Return the ports with prescribed temperatures: isothermal faces, and fluids of films."""
-        known = _prescribed_names(part)
+        known = _list_prescribed_names(part)
         return [*filter(known.__contains__, names_of(model.ports))]
 
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
@@ -389,12 +391,12 @@ dc = "1 W"
         """
         from kc2spice.rom.heat_ranges import HeatReduction
 
-        reduction = HeatReduction(task.full, task.axes, _prescribed_names(part))
+        reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
             return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
 
-        return _reduce_warm_or_cold(part, task.norm, reduce)
+        return _reduce_with_peak_fallback(part, task.norm, reduce)
 
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
@@ -503,12 +505,12 @@ dc = "1 W"
             yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
 
 
-def _prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
+def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
     """Return the names of isothermal faces and of the fluids of films."""
     return {*part.keys.isothermal, *part.keys.film_pins}
 
 
-def _reduce_warm_or_cold(
+def _reduce_with_peak_fallback(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
     """Reduce in a norm; if this fails, reduce relative to the largest temperature of each pin.

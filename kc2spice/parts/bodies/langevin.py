@@ -41,7 +41,7 @@ from kc2spice.scene.parttype import register
 _RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
 
 
-class Piece(Section):
+class PieceKeys(Section):
     """Keys that all pieces of the transducer have."""
 
     material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
@@ -50,14 +50,14 @@ class Piece(Section):
     )
 
 
-class Cylinder(Piece):
+class CylinderKeys(PieceKeys):
     """One cylindrical step of a front or back mass."""
 
     diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
     length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
 
 
-class Rings(Piece):
+class Rings(PieceKeys):
     """Stack of ``count`` equal rings; an even ``count`` makes both masses cathodes."""
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
@@ -82,7 +82,7 @@ class Rings(Piece):
         return self
 
 
-class Bolt(Piece):
+class BoltKeys(PieceKeys):
     """Bolt along the axis, which passes through the back mass and ends in the front mass.
 
     ``depth`` is the depth in the front mass. A head of the bolt is at the end of the back mass.
@@ -104,7 +104,7 @@ class Bolt(Piece):
     )
 
     @model_validator(mode="after")
-    def _require_possible_head(self) -> Bolt:
+    def _require_possible_head(self) -> BoltKeys:
         if (self.head_diameter is None) != (self.head_length is None):
             raise invalid_value_error(
                 "head_diameter and head_length must be used together",
@@ -117,10 +117,10 @@ class Bolt(Piece):
 class LangevinKeys(FieldKeys):
     """Keys of a bolted transducer; the lists of masses begin at the rings."""
 
-    front: tuple[Cylinder, ...] = Field(min_length=1)
-    back: tuple[Cylinder, ...] = Field(min_length=1)
+    front: tuple[CylinderKeys, ...] = Field(min_length=1)
+    back: tuple[CylinderKeys, ...] = Field(min_length=1)
     rings: Rings
-    bolt: Bolt
+    bolt: BoltKeys
     support: Literal["free", "back"] = Field(
         "free", description="Mechanical support: free, or clamped at the back face"
     )
@@ -194,7 +194,7 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     result: list[Block] = []
 
     def add(
-        piece: Piece, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
+        piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
         """Add a piece to the list of blocks."""
         one = material(piece.material, f"{where}.{key}.material")

@@ -49,7 +49,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
     def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the model."""
-        return self._model(part, scene).ports
+        return self._read_model(part, scene).ports
 
     def directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
@@ -58,7 +58,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
         A port that is a column of B has no direction.
         """
-        *_, sidecar = locate_model(*self._source(part, scene))
+        *_, sidecar = locate_model(*self._find_paths(part, scene))
         result = {}
         for entry in sidecar.ports:
             translation = entry.kind in (TRANSLATION.port, ACCELERATION.port)
@@ -69,35 +69,37 @@ class Matrices(LinearBody[MatricesKeys]):
 
     def full_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the data that determine the full model, with hashes of the matrix files."""
-        return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
+        return {**super().full_key(part, scene), "files": self._hash_files(part, scene)}
 
-    def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
+    def _hash_files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
         """Return a hash of the content of each matrix file."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
         """Return the matrix files and their sidecar, relative to the scene."""
-        result = list_source_files(*self._source(part, scene))
+        result = list_source_files(*self._find_paths(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
     def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
         """Return the full model from the matrix files."""
-        return self._model(part, scene)
+        return self._read_model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the box of the mesh, if the TOML file names a mesh."""
-        size = measure_mesh_extent(*self._source(part, scene))
+        size = measure_mesh_extent(*self._find_paths(part, scene))
         if size is None or not size[:2].any():
             return
         wide, high = float(size[:2].max()), float(size[2] or size[:2].min())
         high = max(high, LINE_HEIGHT * wide)
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
-    def _model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
+    def _read_model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
         """Return the model from the matrix files of a part."""
-        return _read(*self._source(part, scene), str(self._stamps(part, scene)))
+        return _read_model_files(*self._find_paths(part, scene), str(self._hash_files(part, scene)))
 
-    def _source(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Path, Path | None]:
+    def _find_paths(
+        self, part: Part[MatricesKeys], scene: DeclaredScene
+    ) -> tuple[Path, Path | None]:
         """Return the path of the matrices, and of their TOML file."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
@@ -109,7 +111,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
+def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
     """Read a model from its files; ``stamps`` are hashes of the files, for the cache of results."""
     return read_model(path, sidecar)
 

@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, disc_air_mass
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Penetration, Surface, make_pair
+from kc2spice.parts.mechanics._touching import ContactSurface, LargestIndentation, make_pair
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import (
@@ -86,7 +86,7 @@ CHIP_KEYS = set(Chip.model_fields)
 FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
-class Drive(Section):
+class KickPulse(Section):
     """Kick pulse that rises from ``start`` within ``edge``; ``width`` refers to half height."""
 
     voltage: Voltage = Field(100.0, description="Voltage of the pulse")
@@ -99,7 +99,7 @@ class Drive(Section):
     )
 
     @model_validator(mode="after")
-    def _require_visible_edges(self) -> Drive:
+    def _require_visible_edges(self) -> KickPulse:
         if self.edge > self.width:
             raise invalid_value_error(
                 "the pulse has an edge that is longer than its width",
@@ -124,7 +124,9 @@ class Stack(Chip, FieldKeys):
             "across 60 um, which the value in the data sheet should replace"
         ),
     )
-    drive: Drive | None = Field(None, description="Voltage pulse of an ideal source at the anode")
+    drive: KickPulse | None = Field(
+        None, description="Voltage pulse of an ideal source at the anode"
+    )
     driver: dict[str, dict[str, Any]] | None = Field(
         None, description="Driver between pulse and chip, { TYPE = { keys } }"
     )
@@ -205,7 +207,7 @@ class PiezoStack(MeshedBody[Stack]):
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
-        return (*ring_ports[: used_rings(part, scene)], anode)
+        return (*ring_ports[: count_used_rings(part, scene)], anode)
 
     def problems(self, part: Part[Stack], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -233,7 +235,7 @@ class PiezoStack(MeshedBody[Stack]):
 
     def surface(
         self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface:
+    ) -> ContactSurface:
         """Return the contact rings or the pressure nodes of the top face."""
         if part.keys.poling == "x":
             problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
@@ -244,14 +246,14 @@ class PiezoStack(MeshedBody[Stack]):
             names = ports or tuple(ring_names(len(radii)))
             rings = list(map(partial(_ring_number, part), names))
             distance = tuple(radii[rings].tolist())
-            return Surface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
-        return Surface(
+            return ContactSurface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
+        return ContactSurface(
             part.name,
             (PATCH_PORT,),
             (0.0,),
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
-            compliance=partial(_compliance_of, part),
+            compliance=partial(_find_compliance, part),
             pace=part.keys.damping.beta,
             modulus=modulus,
         )
@@ -283,13 +285,13 @@ class PiezoStack(MeshedBody[Stack]):
         """Return the weights of the modes; after a low kick, a ringing chip hits the sphere."""
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
-    def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
         """Yield the largest free stroke, which limits the indentation of a contact."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
             why = f"{OVERSHOOT:g} times the free stroke of {part.name} at {voltage:g} V"
-            yield Penetration(OVERSHOOT * stroke, why)
+            yield LargestIndentation(OVERSHOOT * stroke, why)
 
     def outline(self, part: Part[Stack], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the stack."""
@@ -354,7 +356,7 @@ class PiezoStack(MeshedBody[Stack]):
         from kc2spice.bodies.stack import make_stack
 
         shape = pressure_nodes(part, scene)
-        pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
+        pressure = None if shape is None else shape.pressure(_find_compliance(part, shape).shares)
         return make_stack(part.keys, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part[Stack], build: Build, waves: Waveforms) -> Mapping[str, object]:
@@ -399,7 +401,7 @@ class PiezoStack(MeshedBody[Stack]):
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, rom = part.keys, reduction_target(part, scene)
         pressed = pressure_nodes(part, scene) is not None
-        used, last = used_rings(part, scene), keys.mesh.rings
+        used, last = count_used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
         yield f"{detail}reduced to {describe_target(rom)}, anode {keys.electrical}, {ports}"
@@ -479,7 +481,7 @@ def ring_radii(keys: Chip) -> np.ndarray:
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
-def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
+def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
     """Return the number of rings that are ports, beginning with ring0.
 
     Another part or a probe needs the last of these rings. All rings are ports if the stack is the
@@ -533,7 +535,7 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
-def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
+def _find_compliance(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
     """Return the local compliance of a stack: compute it, or read it from the cache."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 

@@ -150,7 +150,7 @@ wiring = "parallel"
 
         def load() -> Callable[[float, Mapping[str, float]], float]:
             """Return the function of time and node voltages."""
-            function = build.functions.get(part.name) or self._function(part, build)
+            function = build.functions.get(part.name) or self._load_function(part, build)
 
             def call(time: float, values: Mapping[str, float]) -> float:
                 inputs = {name: factor * values[net] for name, (net, factor) in sources.items()}
@@ -162,7 +162,7 @@ wiring = "parallel"
             "out": SampledSource(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)
         }
 
-    def _function(self, part: Part[ControllerKeys], build: Build) -> Function:
+    def _load_function(self, part: Part[ControllerKeys], build: Build) -> Function:
         """Return the Python function of the controller."""
         keys = part.keys
         if keys.file is None:

@@ -62,7 +62,7 @@ GAIN_PARAMETERS = (
 )
 
 
-def _terminals(output: bool) -> tuple[Terminal, ...]:
+def _list_pins(output: bool) -> tuple[Terminal, ...]:
     """Return the pins of a controller with an output stage, or of a controller of a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
@@ -117,7 +117,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
             "error": "sensor*(setpoint - y)",
             "demand": " + ".join(map(terms.__getitem__, gains)),
         },
-        given=tuple(_parameters(control)),
+        given=tuple(_list_parameters(control)),
         constants={"sensor": repr(SENSOR_GAIN)},
         rating="its output stays within current_limit",
         base="ref",
@@ -125,7 +125,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     )
 
 
-def _parameters(control: Control) -> Iterator[Param]:
+def _list_parameters(control: Control) -> Iterator[Param]:
     """Return the parameters that an instance of the subcircuit can set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAIN_PARAMETERS:
@@ -171,7 +171,7 @@ def pid_subcircuit(
         header,
         name,
         declared.title,
-        _terminals(output),
+        _list_pins(output),
         tuple(params),
         rating=declared.rating + " and compliance" * output,
         gains=gains,
@@ -208,20 +208,20 @@ class Pid(PartType[Control]):
 
     def pins(self, part: Part[Control], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
-        return _terminals(not _drives_external_circuit(part, scene))
+        return _list_pins(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
         """Join the inputs to the controlled sphere, and the output to the coils."""
         ball = sphere.controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):
-            coils = _coils(part, scene).name
+            coils = _find_driven_coils(part, scene).name
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
     def problems(self, part: Part[Control], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        keys, coils = part.keys, _coils(part, scene)
+        keys, coils = part.keys, _find_driven_coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
             got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
@@ -253,7 +253,7 @@ class Pid(PartType[Control]):
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         local = not _drives_external_circuit(part, build.scene)
-        load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
+        load = float(build.model(_find_driven_coils(part, build.scene), EMTable).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
@@ -290,7 +290,9 @@ class Pid(PartType[Control]):
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
         settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
-        current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
+        current = waves.data.get(
+            f"{result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
+        )
         caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
         return {
             "settling_time_s": Metric(settled, "s"),
@@ -301,7 +303,9 @@ class Pid(PartType[Control]):
 
     def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
         """Yield the checks of a run."""
-        current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
+        current = waves.data.get(
+            f"{result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
+        )
         if current is None or "time" not in waves:
             return
         t, start = waves["time"], part.keys.switching_times[0][0]
@@ -318,7 +322,7 @@ class Pid(PartType[Control]):
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
-def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
+def _find_driven_coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
     """Return the coils that the controller drives."""
     return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
 
@@ -326,7 +330,7 @@ def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
 def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
     """Return whether the output is the pin ``command``, and another circuit drives the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
-    return joined or bool(_coils(part, scene).keys.driver)
+    return joined or bool(_find_driven_coils(part, scene).keys.driver)
 
 
 def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:

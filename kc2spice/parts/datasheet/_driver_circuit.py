@@ -93,7 +93,7 @@ class SpeakerParameters:
 
 
 @dataclass
-class _Terms:
+class _DeclarationTerms:
     """Branches and energy terms that single effects add to the declaration of a driver."""
 
     branches: list[Branch] = field(default_factory=list)
@@ -117,7 +117,9 @@ def _join_terms(*terms: str) -> str:
     return " + ".join(terms)
 
 
-def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: RelaxationLadder) -> None:
+def _add_semi_inductance(
+    terms: _DeclarationTerms, semi: SemiInductance, ladder: RelaxationLadder
+) -> None:
     """Add the paths of eddy currents: ``le``, ``rss`` and the ladder of ``1/(ke sqrt(s))``."""
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
@@ -151,7 +153,7 @@ def _add_semi_inductance(terms: _Terms, semi: SemiInductance, ladder: Relaxation
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
 
 
-def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
+def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder) -> None:
     """Add the suspension: the compliance c0 and the elements of creep in series.
 
     The displacement of each inner node is the elongation of one element: a spring in parallel with
@@ -181,7 +183,7 @@ def _add_creep(terms: _Terms, creep: float, ladder: RelaxationLadder) -> None:
         terms.content.append(f"0.5*r_creep{k}*x{k}_rate^2")
 
 
-def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
+def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) -> None:
     """Add acoustic pins: the cone is an ideal transformer with the ratio ``sd``.
 
     The coenergy of a pressure is ``sd x p`` on the rear, and ``-sd x p`` on the front, where the
@@ -197,11 +199,11 @@ def _add_sound(terms: _Terms, sides: tuple[str, ...], area: float) -> None:
             terms.coenergy.append(f"{sign}sd*x*{pressure}")
 
 
-def motor(
+def declare_motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
     """Declare voice coil, suspension and acoustic pins, without the mass of the cone."""
-    more, semi, creeps = _Terms(), driver.semi, driver.creep > 0
+    more, semi, creeps = _DeclarationTerms(), driver.semi, driver.creep > 0
     if semi:
         _add_semi_inductance(more, semi, semi_inductance_ladder())
     if creeps:
@@ -243,7 +245,7 @@ def motor(
     )
 
 
-def moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
+def declare_moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
     """Declare the mass of the cone, which has separate nodes in the netlist of the motor.
 
     ``air`` [kg] is the part of ``mass`` that joined parts of type radiation already contain.

@@ -112,7 +112,7 @@ DRIVER_PARAMETERS = {
 }
 
 
-def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
+def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
     """Compute all data-sheet values from ``re``, ``bl``, ``mms``, ``cms``, ``rms``, ``sd``."""
     w = 1 / math.sqrt(driver["mms"] * driver["cms"])
     qms = w * driver["mms"] / driver["rms"]
@@ -130,4 +130,6 @@ def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
 
 def make_relation(key: str, names: tuple[str, ...]) -> Relation:
     area = {"sd": EXAMPLE_WOOFER["sd"]}
-    return lambda values: thiele_small(area | dict(zip(names, values.tolist(), strict=True)))[key]
+    return lambda values: compute_thiele_small(
+        area | dict(zip(names, values.tolist(), strict=True))
+    )[key]

@@ -214,7 +214,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         title = f"{name}: {self.title}"
         words: dict[str, Any] = {"rating": self.rating, "heat": HEAT_PINS if heated else ""}
         head = part_header(header, title, pins, content.params, **words)
-        items = (*_cards(content, *self.ends), *(_heat_cards(content) if heated else ()))
+        items = (*_list_cards(content, *self.ends), *(_list_heat_cards(content) if heated else ()))
         ends, defaults = tuple(names_of(pins)), parameter_defaults_of(content.params)
         circuit = Circuit(name, ends, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
@@ -310,7 +310,7 @@ def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
-def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
+def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
     """Return the elements between two pins, with a leak that conserves charge on floating nets."""
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
@@ -327,7 +327,7 @@ def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
     yield Element.of("Gleak", "inner", minus, "inner", minus, f"{{{LEAK_RATE:g}*({total})}}")
 
 
-def _heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
+def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
     """Return the meter of the heat pin, and each motional resistance's power as a heat flow."""
     yield from attach_comments(meter_cards())
     for n in content.modes:

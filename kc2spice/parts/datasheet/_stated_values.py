@@ -123,12 +123,12 @@ class StatedValues:
         result = least_squares(residuals, start, slopes, method="lm", **close)
         return np.asarray(result.x)
 
-    def _without(self, key: str) -> StatedValues:
+    def _drop_value(self, key: str) -> StatedValues:
         """Return the values of the data sheet without one key."""
         stated = {other: value for other, value in self.stated.items() if other != key}
         return replace(self, stated=stated)
 
-    def _rank(self, x: np.ndarray, *more: str) -> int:
+    def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
         """Return the number of unknowns that the values determine."""
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
@@ -148,13 +148,13 @@ class StatedValues:
                 )
 
     def _require_enough_values(self) -> None:
-        x, rank = np.log(self.start), self._rank(np.log(self.start))
+        x, rank = np.log(self.start), self._count_determined_unknowns(np.log(self.start))
         if rank == x.size:
             return
-        useful = [key for key in self.relations if self._rank(x, key) > rank]
+        useful = [key for key in self.relations if self._count_determined_unknowns(x, key) > rank]
         chosen: list[str] = []
         for key in useful:
-            if self._rank(x, *chosen, key) > rank + len(chosen):
+            if self._count_determined_unknowns(x, *chosen, key) > rank + len(chosen):
                 chosen.append(key)
         listed = ", ".join(useful[:MAX_CANDIDATES]) + ", …" * (len(useful) > MAX_CANDIDATES)
         missing = x.size - rank
@@ -194,12 +194,12 @@ class StatedValues:
         """
         redundant = {}
         for key in self.stated if len(self.stated) > x.size else ():
-            others = self._without(key)
-            if others._rank(x) == x.size:
+            others = self._drop_value(key)
+            if others._count_determined_unknowns(x) == x.size:
                 redundant[key] = others._sensitivities(key, x)
         if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
-        key = max(redundant, key=self._correction)
+        key = max(redundant, key=self._compute_correction)
         shares = redundant[key]
         other = max(shares, key=lambda name: abs(shares[name]) * self.tolerance_of(name))
         raise self._contradiction(key, other)
@@ -210,9 +210,9 @@ class StatedValues:
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
         return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
 
-    def _correction(self, key: str) -> float:
+    def _compute_correction(self, key: str) -> float:
         """Return the logarithm of the ratio of a value to the value that all others imply."""
-        return abs(self._residual(key, self._without(key)._fitted_unknowns))
+        return abs(self._residual(key, self._drop_value(key)._fitted_unknowns))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
@@ -250,7 +250,7 @@ class StatedValues:
 
     def _contradiction(self, key: str, other: str) -> UsageError:
         """Return the error of two values that contradict each other."""
-        implied = {name: self._without(name) for name in (key, other)}
+        implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
             name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))
             for name, rest in implied.items()

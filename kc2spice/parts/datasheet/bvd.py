@@ -188,7 +188,7 @@ stop = "10 kHz"
         values = StatedValues(
             part.name,
             stated,
-            _relations(modes, keys.c_low_at),
+            _list_relations(modes, keys.c_low_at),
             start,
             VALUE_UNITS_OF_SHEET,
             {label: value for label, value in tolerance.items() if value is not None},
@@ -290,7 +290,7 @@ def _mode_labels(name: str, modes: int) -> list[str]:
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
 
-def _relations(modes: int, low: float) -> dict[str, Relation]:
+def _list_relations(modes: int, low: float) -> dict[str, Relation]:
     """Return all values that a data sheet can state, as functions of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():

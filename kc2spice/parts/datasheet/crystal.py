@@ -100,7 +100,7 @@ scale = "linear"
         if keys.l1 and not keys.c1:
             c1 = 1 / ((TWO_PI * keys.f) ** 2 * keys.l1)
         r1 = keys.r1 or 1 / (TWO_PI * keys.f * c1 * (keys.q or START_QUALITY))
-        relations = _relations(keys.cl)
+        relations = _list_relations(keys.cl)
         rounding = {"f": FREQUENCY_ROUNDING}
         start = np.array([keys.c0, keys.f, c1, r1])
         values = StatedValues(part.name, stated, relations, start, CRYSTAL_UNITS, {}, rounding)
@@ -149,7 +149,7 @@ def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
     return circuit.fs[0] * math.sqrt(1 + shift)
 
 
-def _relations(load: float | None) -> dict[str, Relation]:
+def _list_relations(load: float | None) -> dict[str, Relation]:
     """Return the values of the data sheet as functions of the unknowns."""
     values: dict[str, Callable[[Resonator], float]] = {
         "f": lambda circuit: _loaded_frequency(circuit, load),

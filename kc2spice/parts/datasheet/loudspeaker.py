@@ -21,8 +21,8 @@ from kc2spice.parts.datasheet._driver_circuit import (
     SemiInductance,
     SpeakerParameters,
     baffle_air_mass,
-    motor,
-    moving_mass,
+    declare_motor,
+    declare_moving_mass,
 )
 from kc2spice.parts.datasheet._driver_keys import (
     AREA_KEYS,
@@ -30,8 +30,8 @@ from kc2spice.parts.datasheet._driver_keys import (
     DRIVER_UNITS,
     EXAMPLE_WOOFER,
     LoudspeakerKeys,
+    compute_thiele_small,
     make_relation,
-    thiele_small,
 )
 from kc2spice.parts.datasheet._efficiency import compute_efficiency
 from kc2spice.parts.datasheet._ladders import (
@@ -186,7 +186,7 @@ stop = "1 kHz"
         tolerance = dict(keys.tolerance)
         values = StatedValues(part.name, stated, relations, start, DRIVER_UNITS, tolerance, {})
         unknowns = dict(zip(names, values.solve().tolist(), strict=True))
-        sizes = thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | unknowns)
+        sizes = compute_thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | unknowns)
         driver = SpeakerParameters(
             **{key: sizes[key] for key in DRIVER_PARAMETERS},
             le=INDUCTANCE_TIME * sizes["re"] if keys.le is None else keys.le,
@@ -225,7 +225,7 @@ stop = "1 kHz"
         sides = _joined_sides(part, scene)
         if sides:
             _require_area(part, driver)
-        return motor(tuple(params), driver, sides)
+        return declare_motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the motor; the pin ``cone`` need not be connected."""
@@ -241,7 +241,7 @@ stop = "1 kHz"
             if RADIATION in scene.joined_types(part.name, side)
         ]
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
-        return moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
+        return declare_moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
     def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> EquilibriumConditions:
         """Return the path in equilibrium: the suspension between cone and frame."""
@@ -274,7 +274,7 @@ stop = "1 kHz"
             largest = float(np.abs(x).max())
             yield Check(f"excursion of {part.name}", largest, limit, "m", advice, "warn")
 
-    def _impedance(
+    def _measured_impedance(
         self, part: Part[LoudspeakerKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies [Hz] and impedances [Ohm] from a small-signal response."""
@@ -287,7 +287,7 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        result = self._impedance(part, waves)
+        result = self._measured_impedance(part, waves)
         if result is None:
             share = compute_efficiency(part, build.scene, waves) if "time" in waves else None
             return {} if share is None else {"efficiency": Metric(float(share[0]), "")}
@@ -303,7 +303,7 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
         """Yield the figures of the report."""
-        result = self._impedance(part, waves)
+        result = self._measured_impedance(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
             from kc2spice.parts.bodies._pictures import plot_impedances

@@ -61,14 +61,14 @@ class RelayKeys(ConductorKeys, NumberedKeys):
 
 
 @dataclass(frozen=True)
-class Timing:
+class RelayTiming:
     """Inductance of the coil [H] and time constant of the armature [s]."""
 
     inductance: float
     armature: float
 
 
-def solve_timing(part: Part[RelayKeys]) -> Timing:
+def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
     """Compute the inductance and the time constant for the operate time at rated voltage.
 
     The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then
@@ -98,11 +98,11 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
     if keys.operate_time is None:
         assert keys.inductance is not None
         electrical = keys.inductance / keys.resistance * rise
-        return Timing(keys.inductance, (1 / SHARE - 1) * electrical / HALF_WAY_TIME)
+        return RelayTiming(keys.inductance, (1 / SHARE - 1) * electrical / HALF_WAY_TIME)
     if keys.inductance is None:
         electrical = SHARE * keys.operate_time
         inductance = electrical / rise * keys.resistance
-        return Timing(inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
+        return RelayTiming(inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
     electrical = keys.inductance / keys.resistance * rise
     if electrical >= keys.operate_time:
         most = keys.operate_time / rise * keys.resistance
@@ -114,7 +114,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
             f"inductance below {most:.4g} H",
             "correct or delete one of the two values",
         )
-    return Timing(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
+    return RelayTiming(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
 
 
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
@@ -179,7 +179,7 @@ resistance = "100 Ohm"
 pins = { a = "relay.com", b = "gnd" }
 """
 
-    def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
+    def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> RelayTiming:
         """Return the times of the relay, for other part types of this package."""
         return solve_timing(part)
 
@@ -200,7 +200,7 @@ pins = { a = "relay.com", b = "gnd" }
         """Return the declaration for the keys of the part."""
         keys, record = part.keys, scene.record(part)
         detail = record.shared_data if record is not None else None
-        times = detail if isinstance(detail, Timing) else solve_timing(part)
+        times = detail if isinstance(detail, RelayTiming) else solve_timing(part)
         words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
         inductance, armature = map(round_to_digits, (times.inductance, times.armature))
         params = (

@@ -177,7 +177,7 @@ OVERDRIVE_ADVICE = (
 )
 
 
-class Load(NamedTuple):
+class CoilLoad(NamedTuple):
     """Load between ``drive`` and ``ret``: both coils in series, the lower coil reversed."""
 
     inductance: float  # H
@@ -261,7 +261,7 @@ class Driver(TemplatePart[KeysT]):
             inner = (
                 waves[name] + (getattr(part.keys, "resistance", 0.0) + OUTPUT_RESISTANCE) * waves[i]
             )
-            yield rails_check(
+            yield make_rails_check(
                 part.name, inner, low, high, RAIL_MARGIN * (high - low), OVERDRIVE_ADVICE
             )
 
@@ -283,10 +283,12 @@ class CoilDriver(Driver[KeysT]):
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return the values that the template needs."""
-        return self.for_load(part.keys, self.load(part, build))
+        return self.adapt_to_load(part.keys, self.load(part, build))
 
     @abstractmethod
-    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def adapt_to_load(
+        self, keys: Any, load: CoilLoad
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return parameters and values of the template for these coils."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
@@ -294,7 +296,7 @@ class CoilDriver(Driver[KeysT]):
         control = scene.find_only_part("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
-    def load(self, part: Part[KeysT], build: Build) -> Load:
+    def load(self, part: Part[KeysT], build: Build) -> CoilLoad:
         """Return the load: coils at the driver's terminals, with the sphere at the set point."""
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
@@ -311,7 +313,7 @@ class CoilDriver(Driver[KeysT]):
         table = build.model(coils, EMTable)
         series = np.array([1.0, -1.0])
         inductance = float(series @ table.coenergy.inductances(height) @ series)
-        return Load(inductance, float(table.resistance.sum()), float(current))
+        return CoilLoad(inductance, float(table.resistance.sum()), float(current))
 
 
 def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
@@ -320,7 +322,7 @@ def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | N
     return next((other for other in joined if other.type.name == kind), None)
 
 
-def rails_check(
+def make_rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
     """Return the check ``low <= volts <= high`` within ``slack`` [V]."""

@@ -33,9 +33,9 @@ from kc2spice.parts.electronics._driver_laws import (
 )
 from kc2spice.parts.electronics._template import (
     CoilDriver,
+    CoilLoad,
     Driver,
     InputNoise,
-    Load,
     ends,
     parameters,
 )
@@ -185,8 +185,8 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         """Return the negative and the positive supply voltage [V]."""
         return -part.keys.rail, part.keys.rail
 
-    def for_load(
-        self, keys: LinearDriverKeys, load: Load
+    def adapt_to_load(
+        self, keys: LinearDriverKeys, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return parameters and values of the control loop for these coils.
 
@@ -255,7 +255,9 @@ class PwmDrive(CoilDriver[PwmKeys]):
             results=results,
         )
 
-    def for_load(self, keys: PwmKeys, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def adapt_to_load(
+        self, keys: PwmKeys, load: CoilLoad
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return parameters and values of the control loop for these coils.
 
         The controller output ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))`` is

@@ -25,7 +25,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.scope import Scope, build_scope, has_vector
 from kc2spice.netlist.spelling import require_name as checked
-from kc2spice.parts.electronics._template import RAIL_MARGIN, pin_voltages, rails_check
+from kc2spice.parts.electronics._template import RAIL_MARGIN, make_rails_check, pin_voltages
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -59,7 +59,7 @@ RATING_ADVICE = (
 )
 
 
-class Rating(Section):
+class PinRating(Section):
     """Limits of a pin: lowest and highest voltage, and slew rate.
 
     The voltages are relative to ``ref`` if the circuit has this pin.
@@ -90,7 +90,7 @@ class NetlistKeys(Section):
             "signal; by default V/A"
         ),
     )
-    ratings: dict[str, Rating] = Field(
+    ratings: dict[str, PinRating] = Field(
         default_factory=dict,
         description=(
             "Voltage limits of each pin, { PIN = { low, high, slew } }, which each run checks"
@@ -118,7 +118,7 @@ class Netlist(PartType[NetlistKeys]):
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         result = []
-        for name in _pins(part, scene):
+        for name in _read_pins(part, scene):
             unit, flow = PIN_KINDS[part.keys.units.get(name, "V/A")]
             ground = name in ("ref", "base")
             result.append(
@@ -130,13 +130,13 @@ class Netlist(PartType[NetlistKeys]):
         """Join the pin ``command`` of a driver table to the output of the controller."""
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
-        if control is None or not commanded or "command" not in _pins(part, scene):
+        if control is None or not commanded or "command" not in _read_pins(part, scene):
             return {}
         return {"command": f"{control.name}.command"}
 
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        pins = _pins(part, scene)
+        pins = _read_pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in PIN_KINDS:
                 where, message = f"units.{name}", "this unit of a pin is not supported"
@@ -176,7 +176,9 @@ class Netlist(PartType[NetlistKeys]):
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source of small signals."""
-        return _read(part.keys.file, scene.home, _modification_time(part, scene)).excites
+        return _read_subcircuits(
+            part.keys.file, scene.home, _modification_time(part, scene)
+        ).excites
 
     def subcircuit_name(self, part: Part[NetlistKeys], scene: Scene) -> str:
         """Return the name of the user's subcircuit."""
@@ -229,7 +231,7 @@ class Netlist(PartType[NetlistKeys]):
             slack = RAIL_MARGIN * float(np.abs(volts).max())
             low = -np.inf if rating.low is None else rating.low
             high = np.inf if rating.high is None else rating.high
-            yield rails_check(name, volts, low, high, slack, RATING_ADVICE)
+            yield make_rails_check(name, volts, low, high, slack, RATING_ADVICE)
             if rating.slew is not None:
                 ahead = np.stack([volts, -volts]) - rating.slew * waves["time"]
                 most = float((ahead - np.minimum.accumulate(ahead, axis=1)).max())
@@ -278,14 +280,14 @@ def driver(
     return {**table, "part": selected, "at": (part.name, "driver", kind)}
 
 
-def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
+def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
     """Return the pins of the subcircuit in the order of its file.
 
     Raises
     ------
     UsageError : the file cannot be read or does not contain the subcircuit.
     """
-    known = _read(part.keys.file, scene.home, _modification_time(part, scene)).pins
+    known = _read_subcircuits(part.keys.file, scene.home, _modification_time(part, scene)).pins
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise part.wrong(
@@ -353,7 +355,7 @@ def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
 
 
 @dataclass(frozen=True)
-class _File:
+class _NetlistFile:
     """Pins of each subcircuit of a file, and whether the file contains an ``ac`` source."""
 
     pins: dict[str, tuple[str, ...]]
@@ -361,7 +363,7 @@ class _File:
 
 
 @lru_cache(maxsize=64)
-def _read(file: str, home: Path, stamp: int) -> _File:
+def _read_subcircuits(file: str, home: Path, stamp: int) -> _NetlistFile:
     """Return the subcircuits of a file; ``stamp`` is the modification time of the file."""
     result, excites = {}, False
     for card in read_untrusted_netlist(file, home).cards():
@@ -370,7 +372,7 @@ def _read(file: str, home: Path, stamp: int) -> _File:
         if card.keyword == ".subckt" and len(card.words) > 1:
             pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
             result[card.words[1].lower()] = tuple(pins)
-    return _File(result, excites)
+    return _NetlistFile(result, excites)
 
 
 register(Netlist())

@@ -43,7 +43,7 @@ from kc2spice.scene.part_records import (
 from kc2spice.scene.parttype import register
 
 
-class Kind(NamedTuple):
+class SourceKind(NamedTuple):
     """Kind of a source: domain and side (across or through) of the prescribed quantity."""
 
     domain: Domain
@@ -80,7 +80,7 @@ class Kind(NamedTuple):
         return self.quantity.symbol
 
 
-SOURCE_TYPES = {name: Kind(*place) for name, place in QUANTITIES.items()}
+SOURCE_TYPES = {name: SourceKind(*place) for name, place in QUANTITIES.items()}
 # Kinds of sources whose steps an inductance or a mass filters. Other sources prescribe motions or
 # flows.
 SMOOTHED_KINDS = ("voltage", "force")
@@ -121,8 +121,8 @@ class SourceKeys(Section):
     _amplitude: float = PrivateAttr()
 
     @model_validator(mode="after")
-    def _require_one_shape(self, info: ValidationInfo) -> SourceKeys:
-        shapes = self._stated_shapes
+    def _require_one_waveform(self, info: ValidationInfo) -> SourceKeys:
+        shapes = self._stated_waveform_keys
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
             raise invalid_value_error(
@@ -139,10 +139,10 @@ class SourceKeys(Section):
     @property
     def shape(self) -> str:
         """Key of the values of the source over time."""
-        return next(iter(self._stated_shapes), "dc")
+        return next(iter(self._stated_waveform_keys), "dc")
 
     @property
-    def _stated_shapes(self) -> list[str]:
+    def _stated_waveform_keys(self) -> list[str]:
         return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
     @property
@@ -220,7 +220,7 @@ class Source(PartType[SourceKeys]):
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield the edges and the period of the waveform."""
-        yield from drive_numerics(part.name, part.keys.waveform)
+        yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
@@ -344,7 +344,7 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 
 
 def _sweep_cards(
-    part: Part[SourceKeys], build: Build, kind: Kind, ends: list[str]
+    part: Part[SourceKeys], build: Build, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
     """Return the cards of a source whose sweep returns from ``to``.
 
@@ -367,7 +367,7 @@ def _sweep_cards(
         yield Element.of(f"V{part.name}", ends[0], folded, "0")
 
 
-def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
+def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
     """Yield the largest time steps and the frequencies that a sine or edges require."""
     if not wave.is_piecewise_linear:
         f = wave.frequency

@@ -50,7 +50,7 @@ from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
 
 
-class Row(NamedTuple):
+class ElementRow(NamedTuple):
     """Data of an element: ``key`` with unit, ``stated`` energies, and ``drive`` in its example."""
 
     name: str
@@ -77,30 +77,31 @@ T = branch("temperature")
 P = branch("pressure")
 U = branch("volume_velocity")
 TABLE = (
-    Row("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
+    ElementRow("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
         {"content": "0.5*v^2/resistance", "conductors": ("v",)}, VOLT),
-    Row("capacitor", "ideal capacitor", "capacitance", "F", "100 nF", V,
+    ElementRow("capacitor", "ideal capacitor", "capacitance", "F", "100 nF", V,
         {"coenergy": "0.5*capacitance*v^2"}, VOLT),
-    Row("inductor", "ideal inductor", "inductance", "H", "10 uH", I,
+    ElementRow("inductor", "ideal inductor", "inductance", "H", "10 uH", I,
         {"coenergy": "0.5*inductance*i^2"}, AMPERE),
-    Row("spring", "linear spring between two displacement pins", "stiffness", "N/m", "100 N/m", X,
-        {"energy": "0.5*stiffness*x^2"}, FORCE),
-    Row("damper", "viscous damper between two displacement pins", "damping", "N s/m",
+    ElementRow("spring", "linear spring between two displacement pins", "stiffness", "N/m",
+        "100 N/m", X, {"energy": "0.5*stiffness*x^2"}, FORCE),
+    ElementRow("damper", "viscous damper between two displacement pins", "damping", "N s/m",
         "0.02 N s/m", X, {"content": "0.5*damping*x_rate^2"}, FORCE),
-    Row("thermal_resistor", "thermal resistance between two pins of temperature", "resistance",
-        "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
-    Row("thermal_capacitor", "heat capacity between a pin of temperature and its surroundings",
-        "capacity", "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT_PULSE),
-    Row("acoustic_resistor", "acoustic resistance between two pins of pressure", "resistance",
-        "Pa s/m3", "1e6 Pa s/m3", P, {"content": "0.5*pressure^2/resistance"}, PUSH),
-    Row("acoustic_compliance", "acoustic compliance of a closed volume", "compliance", "m3/Pa",
-        "7e-11 m3/Pa", P, {"coenergy": "0.5*compliance*pressure^2"}, PUSH),
-    Row("acoustic_mass", "acoustic mass of moving fluid between two pins of pressure", "mass",
-        "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, BLOW),
+    ElementRow("thermal_resistor", "thermal resistance between two pins of temperature",
+        "resistance", "K/W", "20 K/W", T, {"content": "0.5*temperature^2/resistance"}, HEAT),
+    ElementRow("thermal_capacitor",
+        "heat capacity between a pin of temperature and its surroundings", "capacity",
+        "J/K", "0.5 J/K", T, {"coenergy": "0.5*capacity*temperature^2"}, HEAT_PULSE),
+    ElementRow("acoustic_resistor", "acoustic resistance between two pins of pressure",
+        "resistance", "Pa s/m3", "1e6 Pa s/m3", P, {"content": "0.5*pressure^2/resistance"}, PUSH),
+    ElementRow("acoustic_compliance", "acoustic compliance of a closed volume", "compliance",
+        "m3/Pa", "7e-11 m3/Pa", P, {"coenergy": "0.5*compliance*pressure^2"}, PUSH),
+    ElementRow("acoustic_mass", "acoustic mass of moving fluid between two pins of pressure",
+        "mass", "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, BLOW),
 )  # fmt: skip
 
 
-def declare_element(row: Row) -> Declaration:
+def declare_element(row: ElementRow) -> Declaration:
     """Declare the element of a row, with its key, an example and its equations."""
     noun = row.name.replace("_", " ")
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")

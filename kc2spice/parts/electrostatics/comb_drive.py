@@ -8,7 +8,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class CombDriveKeys(_stop.StoppedCoordinate):
+class CombDriveKeys(_stop.StopKeys):
     """Keys of a comb drive with ``C = 2 fingers eps0 thickness (overlap + x) / gap``.
 
     The force ``fingers eps0 thickness v^2 / gap`` does not depend on x.
@@ -36,7 +36,7 @@ register(
             constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
             energy=_stop.energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
             limits={"the overlap": "overlap + x"},
             neglected=(

@@ -82,14 +82,14 @@ FEWEST = 3
 MOST = 100
 
 
-class Fringing(Section):
+class FringingKeys(Section):
     """Fringing field of a strip over a plane."""
 
     width: Length = Field(gt=0, description="Width of the strip")
     thickness: Length = Field(gt=0, description="Thickness of the strip")
 
 
-class Film(Section):
+class SqueezeFilmKeys(Section):
     """Gas film between the faces, vented on all sides; the patches are strips across its length."""
 
     length: Length = Field(gt=0, description="Length of the face along the row of patches")
@@ -114,7 +114,7 @@ class Film(Section):
     )
 
 
-class GapKeys(_stop.StoppedCoordinate):
+class GapKeys(_stop.StopKeys):
     """Keys of a gap.
 
     ``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports.
@@ -142,12 +142,12 @@ class GapKeys(_stop.StoppedCoordinate):
         None,
         description="Fraction of the total area that each patch covers; by default equal fractions",
     )
-    fringing: Fringing | None = Field(
+    fringing: FringingKeys | None = Field(
         None,
         description="Table of the strip whose fringing field is modelled; by default the "
         "fringing field is neglected",
     )
-    film: Film | None = Field(
+    film: SqueezeFilmKeys | None = Field(
         None,
         description="Table of the squeezed gas film in the gap; by default the gas is neglected",
     )
@@ -173,14 +173,14 @@ class Gap(PatchedPart[GapKeys]):
 
     def make_declaration(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        return self._with_branches(part, scene, count_film_branches(part, scene))
+        return self._declare_branches(part, scene, count_film_branches(part, scene))
 
     def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
         """Return the declaration after the model is built."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.make_declaration(part, build.scene)
-        return self._with_branches(part, build.scene, finer)
+        return self._declare_branches(part, build.scene, finer)
 
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
@@ -196,7 +196,7 @@ class Gap(PatchedPart[GapKeys]):
         result, known = super().law(part, build), set(names_of(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
-    def _with_branches(
+    def _declare_branches(
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
         """Return the declaration of a gap with the branches of its film."""
@@ -253,7 +253,10 @@ class Gap(PatchedPart[GapKeys]):
         are stiffness and damping at the last frequency: the real part of force over displacement,
         and the imaginary part over ``2 pi f``.
         """
-        of = {"x": _waves_of(part, "x", waves), "force": _waves_of(part, "force", waves)}
+        of = {
+            "x": _list_patch_waves(part, "x", waves),
+            "force": _list_patch_waves(part, "force", waves),
+        }
         volts = waves.data.get(f"{part.name}.v")
         if volts is None or not of["x"]:
             return {}
@@ -309,7 +312,7 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 
 
 @lru_cache(maxsize=256)
-def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
+def truncation_error(film: SqueezeFilmKeys, gap: float, branches: int, frequency: float) -> float:
     """Return the larger of the relative errors of damping and force with ``branches`` springs.
 
     The error is computed at the ``frequency`` [Hz]. A term of the film series has the ratio of
@@ -325,7 +328,7 @@ def truncation_error(film: Film, gap: float, branches: int, frequency: float) ->
     return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
 
 
-def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
+def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
     """Return the recorded displacements ``x`` or forces ``force`` of all patches."""
     prefix = f"{part.name}.{word}"
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
@@ -349,7 +352,7 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
         frequency = float(waves["frequency"].real[-1])
     elif "time" in waves:
         time = waves["time"]
-        for x in _waves_of(part, "x", waves):
+        for x in _list_patch_waves(part, "x", waves):
             frequency = max(frequency, find_energy_frequency(time, np.gradient(x, time)))
     branches = count_film_branches(part, build.scene)
     error = truncation_error(film, part.keys.gap, branches, frequency)
@@ -388,7 +391,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
         damping.append(f"0.5*rest*share{k}/{gap}^3*x{k}_rate^2")
         indentation = f"{sign}1*x{k} - travel"
         energy.append(_stop.energy(indentation, f"share{k}*"))
-        forces[f"x{k}"] = _stop.lost_force(indentation, f"x{k}_rate", f"share{k}*")
+        forces[f"x{k}"] = _stop.write_stop_loss(indentation, f"x{k}_rate", f"share{k}*")
         stops[f"the stop of patch {k}"] = indentation
         limits[f"what is left of the gap at patch {k}"] = f"gap - {sign}1*x{k}"
     if keys.fringing is not None:
@@ -419,13 +422,15 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
         coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(capacitances)})",
         content=" + ".join(content) or "0",
         limits=limits,
-        neglected=tuple(_neglected(keys, film_branches, top)),
+        neglected=tuple(_list_neglected_effects(keys, film_branches, top)),
         rating="not known; compare v / gap with the breakdown of what is in the gap",
         example=EXAMPLE_SCENE,
     )
 
 
-def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, str, str]]:
+def _list_neglected_effects(
+    keys: GapKeys, branches: int, top: float
+) -> Iterator[tuple[str, str, str]]:
     """Yield the effects that a gap neglects."""
     if keys.fringing is None:
         yield "fringing field", "no key fringing", "of the order of gap / width"
@@ -449,7 +454,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
     yield _stop.STOP_NEGLECTED
 
 
-def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the dampers, the springs and the indices m of all terms, each (n,).
 
     The dampers are multiplied by gap^3, and the springs by gap. The largest dampers are first.
@@ -464,7 +469,7 @@ def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _split_series(
-    film: Film, count: int, branches: int
+    film: SqueezeFilmKeys, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     """Split the series into terms with a spring, and the sum of all other dampers.
 

@@ -10,7 +10,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class ParallelPlateKeys(_stop.StoppedCoordinate):
+class ParallelPlateKeys(_stop.StopKeys):
     """Keys of two parallel plates with the coenergy ``C v^2 / 2``.
 
     ``C = permittivity eps0 area / (gap - x)``, so that a voltage increases x. With a spring of
@@ -40,7 +40,7 @@ register(
             constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
             energy=_stop.energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
             limits={"the gap": "gap - x"},
             neglected=(

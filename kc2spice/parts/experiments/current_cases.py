@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils
-from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.physics import coils
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Metric
 from kc2spice.scene.model import (
@@ -76,11 +76,11 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
         """Return the sphere, which this part moves, and the coils, which it copies."""
-        return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
+        return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
+        library, y = build.libraries[_find_coils(part, build.scene).name], build.net(part, "y")
         height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
         for k, (lower, upper) in enumerate(current_pairs(part)):
@@ -109,7 +109,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
     def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, SweptSource]:
         """Return the source of the height that the dc sweep varies."""
-        keys = _coils(part, build.scene).keys
+        keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
             "height": SweptSource(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)
@@ -117,7 +117,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
-        result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
+        result = {f"{_find_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_force_names(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
@@ -129,7 +129,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         forces = _recorded_forces(part, build, waves)
         return {
             "force_max_n": Metric(float(np.abs(forces).max()), "N"),
-            "position_m": Metric(waves[f"{_sphere(part, build.scene)}.y"].tolist(), "m"),
+            "position_m": Metric(waves[f"{_find_sphere(part, build.scene)}.y"].tolist(), "m"),
             "current_pairs_a": Metric(list(map(list, current_pairs(part))), "A"),
             "force_n": Metric(forces.tolist(), "N"),
         }
@@ -139,7 +139,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
         The forces of the coils act on this source.
         """
-        n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
+        n, pulled, fed = part.name, _find_sphere(part, build.scene), _find_coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
@@ -161,15 +161,15 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         The spacing of the heights is smaller than the segments, so that a jump has its full size.
         """
         forces = _recorded_forces(part, build, waves)
-        slope = np.diff(forces, axis=1) / np.diff(waves[f"{_sphere(part, build.scene)}.y"])
+        slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
         limit = build.scene.gates.lookup_slope
-        advice = f"raise {_coils(part, build.scene).name}.points"
+        advice = f"raise {_find_coils(part, build.scene).name}.points"
         name, unit = "jump of the lookup's slope", "of the largest slope"
         yield Check(name, jump, limit, unit, advice, "warn")
         gates = build.scene.gates
         limits = dict.fromkeys(SOLUTION_PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
-        of = f"{_coils(part, build.scene).name}.force.*"
+        of = f"{_find_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", is_main=True)
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
@@ -184,7 +184,7 @@ def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
 
 def _force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
     """Return the result names of the forces, one for each pair of currents."""
-    name = _coils(part, build.scene).name
+    name = _find_coils(part, build.scene).name
     return [f"{name}.force.{k}" for k in range(len(current_pairs(part)))]
 
 
@@ -193,14 +193,14 @@ def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveform
     return np.array([*map(waves.__getitem__, _force_names(part, build))])
 
 
-def _coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
+def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
     """Return the coils of the experiment."""
     return scene.partner(part, "ring_magnet_coils").with_schema(Coils)
 
 
-def _sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
+def _find_sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
     """Return the name of the sphere of the experiment."""
-    return sphere_of(_coils(part, scene), scene).name
+    return find_sphere(_find_coils(part, scene), scene).name
 
 
 register(CurrentCases())

@@ -80,7 +80,7 @@ class PortLoads(PartType[PortLoadsKeys]):
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        body_of(part, scene)
+        find_loaded_body(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
             yield part.wrong("stop", "the frequency range is empty", got, "start < stop")
@@ -89,12 +89,12 @@ class PortLoads(PartType[PortLoadsKeys]):
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
         """Return the body, which this part copies once for each load."""
-        return {body_of(part, scene).name: "copied"}
+        return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        body, name = body_of(part, build.scene), partial(build.inner_name, part)
-        rings, library = _rings(body, build.scene), build.libraries[body.name]
+        body, name = find_loaded_body(part, build.scene), partial(build.inner_name, part)
+        rings, library = _list_loaded_rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
         cards: list[Line] = []
         for load in (*rings, "anode"):
@@ -125,7 +125,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
         """Yield the names of the copies of the body and of their loads."""
-        rings = _rings(body_of(part, scene), scene)
+        rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
             yield (f"I{load}",)
@@ -135,8 +135,8 @@ class PortLoads(PartType[PortLoadsKeys]):
 
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
         """Return complex results ``INPUT>OUTPUT`` in m, C and V."""
-        body = body_of(part, build.scene)
-        rings = _rings(body, build.scene)
+        body = find_loaded_body(part, build.scene)
+        rings = _list_loaded_rings(body, build.scene)
         meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")
         result = {}
         for load in (*rings, "anode"):
@@ -165,7 +165,10 @@ class PortLoads(PartType[PortLoadsKeys]):
 
     def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the gates of the harmonic loads, which contain the tolerance of the reduction."""
-        gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        gates, target = (
+            build.scene.gates,
+            find_loaded_body(part, build.scene).keys.rom or build.scene.rom,
+        )
         rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
         limits = dict.fromkeys(SOLUTION_PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
         yield Gate("response, whole band", "*>*", limits, "spectral", is_main=True)
@@ -177,7 +180,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     ) -> Iterator[Figure]:
         """Yield the figures of the report."""
         f = waves["frequency"].real / 1e3
-        rings = _rings(body_of(part, build.scene), build.scene)
+        rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
         panel = Panel("frequency in kHz", "|response| in m/N", curves, log_y=True)
         caption = "Response of every port to a unit load on itself."
@@ -190,13 +193,13 @@ class PortLoads(PartType[PortLoadsKeys]):
 
         A large voltage behind a very small capacitance represents a unit charge.
         """
-        body = body_of(part, build.scene)
+        body = find_loaded_body(part, build.scene)
         equations = body.type.law(body, build)
         if not isinstance(equations, laws.Equations):
             return equations
         (law,) = equations.laws
         assert isinstance(law, laws.SecondOrderBody | laws.PortBody)
-        rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
+        rings, is_open = _list_loaded_rings(body, build.scene), body.keys.electrical == "open"
         result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.WaveCombination] = {}
@@ -229,7 +232,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield f"{keys.steps} frequencies, {ends}"
 
 
-def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
+def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
     """Return the stack on which the loads act.
 
     Raises
@@ -252,7 +255,7 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
     return result[0].with_schema(Stack)
 
 
-def _rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
+def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
     """Return the names of the loaded rings."""
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)

@@ -14,8 +14,13 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts.mechanics._touching import Pair, Penetration, TouchablePart, make_pair
-from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.parts.mechanics._touching import (
+    ContactPair,
+    LargestIndentation,
+    TouchablePart,
+    make_pair,
+)
+from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import Gate, Measure, Metric
 from kc2spice.scene.model import (
     GROUND,
@@ -66,12 +71,12 @@ class Push(TouchablePart[PushKeys]):
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         """Return the sphere, whose position this part prescribes."""
-        return {sphere_of(part, scene).name: "moved"}
+        return {find_sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        ball = sphere_of(part, scene)
-        _pair(part, scene)  # raises the error of a missing sphere
+        ball = find_sphere(part, scene)
+        _find_contact(part, scene)  # raises the error of a missing sphere
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
             problem = "the depth exceeds the radius of the sphere"
@@ -88,9 +93,11 @@ class Push(TouchablePart[PushKeys]):
             "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
         }
 
-    def penetrations(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(
+        self, part: Part[PushKeys], scene: GovernedScene
+    ) -> Iterator[LargestIndentation]:
         """Yield the prescribed depth of the contact."""
-        yield Penetration(part.keys.depth, f"{part.name}.depth")
+        yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
@@ -100,7 +107,7 @@ class Push(TouchablePart[PushKeys]):
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield the tolerances that resolve the closing of the contact rings."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
-        if _pair(part, scene).keys.shape == "pressure":
+        if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"
         pivots = (
             "rings close during the sweep, and small pivots of an open ring would be inaccurate"
@@ -111,7 +118,7 @@ class Push(TouchablePart[PushKeys]):
 
     def metrics(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the force of one symmetry sector at each depth, and the largest force."""
-        pair = _pair(part, build.scene)
+        pair = _find_contact(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
             "max_force_n": Metric(float(force.max()), "N"),
@@ -121,7 +128,7 @@ class Push(TouchablePart[PushKeys]):
 
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of a run."""
-        pair, gates = _pair(part, build.scene), build.scene.gates
+        pair, gates = _find_contact(part, build.scene), build.scene.gates
         # At the first depths, one basis function carries the contact, which the law does not
         # resolve. All errors are therefore relative to the largest force. Against the full model,
         # the limit is the error of the basis.
@@ -147,7 +154,7 @@ class Push(TouchablePart[PushKeys]):
         yield f"{keys.steps} steps down to {format_quantity(keys.depth, 'm')}"
 
 
-def _pair(part: Part[PushKeys], scene: GovernedScene) -> Pair:
+def _find_contact(part: Part[PushKeys], scene: GovernedScene) -> ContactPair:
     """Return the contact pair of the sphere and the surface below it."""
     return make_pair(scene.partner(part, "contact"), scene)
 

@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
 from kc2spice.parts.mechanics import _touching
-from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
 from kc2spice.scene.model import (
     Build,
@@ -55,7 +55,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        sphere_of(part, scene)
+        find_sphere(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
             yield part.wrong(
@@ -68,7 +68,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
         """Return the sphere with its initial velocity and height."""
-        return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
+        return {find_sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield a tighter tolerance of charges, in proportion to the speed of the impact."""
@@ -77,9 +77,9 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def penetrations(
         self, part: Part[ThrowKeys], scene: GovernedScene
-    ) -> Iterator[_touching.Penetration]:
+    ) -> Iterator[_touching.LargestIndentation]:
         """Yield the depth of the contact at the impact velocity."""
-        ball, speed = sphere_of(part, scene), _impact_speed(part, scene)
+        ball, speed = find_sphere(part, scene), _impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _touching.impact_penetration(ball, mass, scene, speed, why)
 
@@ -90,7 +90,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
-        ball = sphere_of(part, build.scene)
+        ball = find_sphere(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
         leave = _touching.find_separation(
@@ -107,7 +107,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of a run."""
-        gates, ball = build.scene.gates, sphere_of(part, build.scene).name
+        gates, ball = build.scene.gates, find_sphere(part, build.scene).name
         pair = _touching.single_pair(build.scene)
         law = pair.basis_error() if pair else 0.0
         place = dict.fromkeys(SOLUTION_PAIRS, max(gates.position, law)) | {

@@ -103,7 +103,7 @@ class MagnetKeys(Ring):
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
-class Conduction(Section):
+class ConductionKeys(Section):
     """Keys that determine the current loops of a body in its netlist."""
 
     conductivity: Conductivity = Field(
@@ -111,7 +111,7 @@ class Conduction(Section):
     )
 
 
-class Moving(ConductorKeys):
+class MovingBodyKeys(ConductorKeys):
     """Body in the field of coils and magnets about one axis; y is the height of its centre of mass.
 
     A part ``mass`` at the pin ``a`` represents the mass of the body."""
@@ -138,7 +138,7 @@ class Moving(ConductorKeys):
     )
 
 
-class MovingConductorKeys(Conduction, Moving):
+class MovingConductorKeys(ConductionKeys, MovingBodyKeys):
     """Conducting disc, ring or sphere."""
 
     shape: Literal["disc", "sphere"] = Field(
@@ -172,7 +172,7 @@ def _eddy_names(count: int) -> list[str]:
     return list(map("eddy{}".format, range(1, count + 1)))
 
 
-def _branches(keys: Moving, loops: int) -> tuple[Branch, ...]:
+def _branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
     """Return the branches of the coils and of the motion."""
     coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
@@ -205,7 +205,7 @@ def _declare(
     )
 
 
-def declare(part: Part[Moving], model: LoopModel) -> Declaration:
+def declare(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
     """Declare the coenergy ``i' L i / 2`` and the losses.
 
     The couplings are power series of the height. The couplings of a magnet, which has no loops,
@@ -239,7 +239,7 @@ def declare(part: Part[Moving], model: LoopModel) -> Declaration:
     )
 
 
-MovingT = TypeVar("MovingT", bound=Moving, default=Moving)
+MovingT = TypeVar("MovingT", bound=MovingBodyKeys, default=MovingBodyKeys)
 
 
 class MovingBody(DeclaredPart[MovingT]):
@@ -438,7 +438,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     title = "conducting body that moves along coils and magnets (eddy currents)"
     schema = MovingConductorKeys
     discretisations: ClassVar[tuple[str, ...]] = ("rings", "frequency", "tolerance")
-    parameters: ClassVar[type[Section]] = Conduction
+    parameters: ClassVar[type[Section]] = ConductionKeys
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
 
@@ -553,7 +553,7 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
     return divide_section(*box, inside if ball else None, _skin_depth(keys, frequency))
 
 
-def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
+def _shortest_lag(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
     """Return the shortest time constant [s] of the coils with their series resistors."""
     result = []
     for name, coil, winding in zip(
@@ -564,7 +564,7 @@ def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
     return min(result, default=0.0)
 
 
-def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
+def _series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
     """Return the sum [Ohm] of the resistors in series with a coil, at one of its ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
@@ -574,7 +574,7 @@ def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) ->
     return result
 
 
-def _highest_run_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
+def _highest_run_frequency(part: Part[MovingBodyKeys], build: Build, waves: Waveforms) -> float:
     """Return the highest frequency [Hz] of a run: of the response, or of the coil currents."""
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])
@@ -586,7 +586,7 @@ def _highest_run_frequency(part: Part[Moving], build: Build, waves: Waveforms) -
     return result
 
 
-def windings(keys: Moving) -> list[Winding]:
+def windings(keys: MovingBodyKeys) -> list[Winding]:
     """Return the coils as windings."""
     return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
 
@@ -630,7 +630,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         yield Shape(x, y, width, height, kind, label if side > 0 else "")
 
 
-def _body_height(keys: Moving) -> float:
+def _body_height(keys: MovingBodyKeys) -> float:
     """Return the height [m] of the body."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 

@@ -12,7 +12,12 @@ from pydantic import Field
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Ratio, RefinementRule, Section
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import LoopModel, Winding, make_current_loop
-from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, surface_currents, windings
+from kc2spice.parts.magnetics.moving_conductor import (
+    MovingBody,
+    MovingBodyKeys,
+    surface_currents,
+    windings,
+)
 from kc2spice.scene.model import (
     Part,
     Scene,
@@ -21,17 +26,17 @@ from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
 
 
-class Magnetisation(Section):
+class MagnetisationKeys(Section):
     """Keys that determine the field of a magnet in its netlist."""
 
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
-class MovingMagnetKeys(Magnetisation, Moving):
+class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
     """Cylinder or ring that is magnetised along the axis.
 
-    Magnetisation is uniform, ``remanence / (MU_0 (1 + N (mu_r - 1)))``, with N the demagnetising
-    factor of the shape. The magnet is modelled as surface currents, ``thickness`` times the
+    The magnetisation is uniform, ``remanence / (MU_0 (1 + N (mu_r - 1)))``, with the demagnetising
+    factor N of the shape. The magnet is modelled as surface currents, ``thickness`` times the
     magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
     """
 
@@ -71,7 +76,7 @@ class MovingMagnet(MovingBody[MovingMagnetKeys]):
     title = "magnet that moves along coils and magnets"
     discretisations = ("tolerance",)
     schema = MovingMagnetKeys
-    parameters = Magnetisation
+    parameters = MagnetisationKeys
     rating = "not known; i^2 resistance heats each coil, heat and opposing fields demagnetise"
     source = "closed form (coaxial circles)"
     example = """

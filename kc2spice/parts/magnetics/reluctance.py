@@ -20,7 +20,7 @@ from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.parttype import register
 
 
-class ReluctanceKeys(ConductorKeys, _stop.StoppedCoordinate):
+class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
     """Keys of a magnetic circuit that attracts iron.
 
     The flux ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` causes a force ``gaps
@@ -57,7 +57,7 @@ register(
             constants={"mu0": repr(MU_0)} | _stop.STOP_CONSTANTS,
             energy=_stop.energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
             content="0.5*resistance*i^2",
             limits={"the gap": "gap - x"},

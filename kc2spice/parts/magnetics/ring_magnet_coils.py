@@ -39,8 +39,8 @@ from kc2spice.parts.bodies._pictures import plot_impedances
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.magnetics import _coil_heat
-from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impact_penetration
-from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
+from kc2spice.parts.mechanics._touching import LargestIndentation, TouchablePart, impact_penetration
+from kc2spice.parts.mechanics.sphere import find_sphere, height_offset
 from kc2spice.physics import coils
 from kc2spice.physics.conductors import (
     HEAT_TERMINALS,
@@ -233,14 +233,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
         """Join position and velocity to the pins of the sphere or of the part that moves it."""
-        ball = sphere_of(part, scene).name
+        ball = find_sphere(part, scene).name
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
         yield from refuse_conductor_keys(part, scene)
-        keys, name, ball = part.keys, part.name, sphere_of(part, scene)
+        keys, name, ball = part.keys, part.name, find_sphere(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
@@ -296,9 +296,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         long = "field and force fall off with the fourth power of the distance"
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
-    def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[LargestIndentation]:
         """Yield the indentation by the sphere after a fall from the upper end of the table."""
-        sphere = sphere_of(part, scene)
+        sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
         why, mass = f"fall from {part.name}.y_max", sphere.keys.mass
@@ -327,7 +327,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
         """Return the keys that determine the force table."""
         catch = self._make_unit_catch(part, part.keys.positions).model_dump(mode="json")
-        return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
+        return {"catch": catch, "radius": find_sphere(part, scene).keys.radius}
 
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
         """Compute the force table for unit remanence, then scale and shift the table exactly.
@@ -394,7 +394,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         """Return the magnetic force on the sphere, computed from its height and the currents."""
-        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
@@ -480,7 +480,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks of a run."""
-        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
         currents = _coil_currents(part, waves)
@@ -501,7 +501,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
         yield Check(name, coarse, MAX_SPLINE_ERROR, unit, advice, action, discretisation=True)
-        of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
+        of, limits = f"{find_sphere(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
         words = f"height over its way, {DENSITY_RATIO} times the positions of {part.name}"
         yield Gate(words, of, limits, "travel", discretisation=True)
         for words, error in list_mesh_errors(build.facts(part)).items():
@@ -560,7 +560,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if has_real_coils(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
-        keys, radius = part.keys, sphere_of(part, scene).keys.radius
+        keys, radius = part.keys, find_sphere(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
         yield Neglected(
             "eddy currents in the sphere",

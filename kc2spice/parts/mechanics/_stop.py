@@ -22,7 +22,7 @@ from kc2spice.core.quantities import Ratio, Section, si
 MIN_STRIKE_VELOCITY = 1e-4
 
 
-class StoppedCoordinate(Section):
+class StopKeys(Section):
     """Keys of a stop: restitution and damping."""
 
     restitution: Ratio = Field(
@@ -58,7 +58,7 @@ def energy(indentation: str, share: str = "") -> str:
     return f"0.5*{share}stop*max(0, {indentation})^2"
 
 
-def lost_force(indentation: str, rate: str, share: str = "") -> str:
+def write_stop_loss(indentation: str, rate: str, share: str = "") -> str:
     """Write the dissipative force of the stop on the coordinate with the velocity ``rate``."""
     factor = f"(loss*{rate}/sqrt({rate}^2 + slow*slow) + damping*{rate})"
     return f"{share}stop*max(0, {indentation})*{factor}"

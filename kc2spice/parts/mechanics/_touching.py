@@ -38,7 +38,7 @@ _INDENTATION_MARGIN = 1.25
 
 
 @dataclass(frozen=True)
-class Surface:
+class ContactSurface:
     """Surface of a part in a contact, with its pins and their distance [m] from the axis.
 
     ``ports`` are the pins whose voltage is the position in um, and on which the force acts. For a
@@ -91,7 +91,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Penetration:
+class LargestIndentation:
     """Largest indentation of two surfaces [m], with its cause."""
 
     depth: float
@@ -103,16 +103,18 @@ class TouchablePart(PartType[KeysT]):
 
     def surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface | None:
+    ) -> ContactSurface | None:
         """Return the surface for a contact; None if the part has no such surface."""
         return None
 
-    def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[Penetration]:
+    def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[LargestIndentation]:
         """Yield the largest indentation that the part can cause in each contact of the scene."""
         return ()
 
 
-def find_surface(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
+def find_surface(
+    part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+) -> ContactSurface | None:
     """Return the surface of a part for a contact at these ports, or at ports the part selects."""
     return part.type.surface(part, scene, ports) if isinstance(part.type, TouchablePart) else None
 
@@ -129,7 +131,7 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Pair:
+class ContactPair:
     """Both sides of a contact: ``a`` below and ``b`` above.
 
     Side ``a`` has one or several ports. The contact opens if ``b`` rises.
@@ -144,16 +146,16 @@ class Pair:
         return self.part.keys
 
     @cached_property
-    def a(self) -> Surface:
+    def a(self) -> ContactSurface:
         """Surface of the lower side."""
         return self._side("a", spherical=False)
 
     @cached_property
-    def b(self) -> Surface:
+    def b(self) -> ContactSurface:
         """Surface of the upper side."""
         return self._side("b", spherical=True)
 
-    def _side(self, key: str, *, spherical: bool) -> Surface:
+    def _side(self, key: str, *, spherical: bool) -> ContactSurface:
         """Return the surface of one side of the contact."""
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
@@ -174,7 +176,7 @@ class Pair:
                 )
             return offers[0]
         if selected == GROUND:
-            return Surface(GROUND, (FLOOR_PORT,), (0.0,))
+            return ContactSurface(GROUND, (FLOOR_PORT,), (0.0,))
         targets = (selected,) if isinstance(selected, str) else selected
         names = {target.partition(".")[0] for target in targets}
         if len(names) != 1:
@@ -208,11 +210,11 @@ class Pair:
         return ports[:rings]
 
     @cached_property
-    def deepest_penetration(self) -> Penetration:
+    def deepest_penetration(self) -> LargestIndentation:
         """Return the largest indentation [m] that any part of the scene can cause."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
-        result = [Penetration(0.0, "its weight")]
+        result = [LargestIndentation(0.0, "its weight")]
         for part in able:
             if isinstance(part.type, TouchablePart):
                 result += part.type.penetrations(part, self.scene)
@@ -259,13 +261,13 @@ class Pair:
                 problem = "the law of Hertz applies only to a sphere at one port"
                 raise self.part.wrong("law", problem, got, expected, hint)
             value, power = 4 / 3 * self._modulus / math.sqrt(sum(spherical)), 1.5
-        if (s := self.flank) is not None:
+        if (s := self.half_angle_sine) is not None:
             value *= 2 * s ** (1 + power)
             along = s * keys.damping, keys.friction / s, keys.creep
         return ContactForce(value, power, *along)
 
     @property
-    def flank(self) -> float | None:
+    def half_angle_sine(self) -> float | None:
         """``sin(g/2)`` of the opening angle g of a groove; None for other shapes."""
         groove = self.keys.groove
         return None if groove is None else math.sin(math.radians(groove) / 2)
@@ -296,9 +298,9 @@ class Pair:
     @cached_property
     def indentation(self) -> tuple[LocalCompliance, float]:
         """Compliance of both sides for the pressure basis, and its response time [s]."""
-        return self._compliance_of(self.shape)
+        return self._combine_compliances(self.shape)
 
-    def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
+    def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
         """Return the sum of the compliances of both sides, and its response time [s].
 
         The response time is the mean of the times of both sides.
@@ -342,7 +344,7 @@ class Pair:
         forces = []
         for wider in (1.0, 0.5):
             shape = choose_pressure_basis(wider * self.keys.spacing, self.a.patch)
-            result, _ = self._compliance_of(shape)
+            result, _ = self._combine_compliances(shape)
             law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
             deepest = min(self.deepest_penetration.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
@@ -364,15 +366,15 @@ class Pair:
         return None if dent is None else result + dent
 
 
-def make_pair(contact: Part, scene: GovernedScene) -> Pair:
+def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
     """Return both sides of a contact from its record."""
     record = scene.record(contact)
-    if record is None or not isinstance(record.shared_data, Pair):
-        return Pair(contact.with_schema(ContactKeys), scene)
+    if record is None or not isinstance(record.shared_data, ContactPair):
+        return ContactPair(contact.with_schema(ContactKeys), scene)
     return record.shared_data
 
 
-def single_pair(scene: GovernedScene) -> Pair | None:
+def single_pair(scene: GovernedScene) -> ContactPair | None:
     """Return the contact of the scene if there is exactly one."""
     contact = scene.find_only_part("contact")
     return None if contact is None else make_pair(contact, scene)
@@ -396,7 +398,7 @@ def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> I
 
 def impact_penetration(
     sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
-) -> Iterator[Penetration]:
+) -> Iterator[LargestIndentation]:
     """Yield the indentation of bodies by a sphere that arrives with ``speed`` [m/s].
 
     Among all states with the indentation d, the static state has the smallest stored energy. The
@@ -411,7 +413,7 @@ def impact_penetration(
                 assert pair.b.modulus is not None
                 modulus = 1 / (1 / modulus + 1 / pair.b.modulus)
             depth = (15 * energy / (8 * modulus * math.sqrt(pair.b.radius))) ** 0.4
-            yield Penetration(_INDENTATION_MARGIN * float(depth), why)
+            yield LargestIndentation(_INDENTATION_MARGIN * float(depth), why)
 
 
 # --- separation of both sides

@@ -19,7 +19,7 @@ from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import (
     SPHERE_PATCH,
-    Pair,
+    ContactPair,
     find_separation,
     last_source_change,
     make_pair,
@@ -79,9 +79,9 @@ class Contact(DeclaredPart[ContactKeys]):
     discretisations = ("spacing",)
     schema = ContactKeys
 
-    def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> Pair:
+    def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> ContactPair:
         """Return both sides of the contact, for other parts."""
-        return Pair(part, scene)
+        return ContactPair(part, scene)
 
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
@@ -304,7 +304,7 @@ class Contact(DeclaredPart[ContactKeys]):
 
 
 def _declare(
-    pair: Pair,
+    pair: ContactPair,
     law: ContactForce,
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
@@ -316,12 +316,14 @@ def _declare(
     return declare_contact(ports, gaps, law, **words)
 
 
-def _sum_factors(pair: Pair) -> dict[str, float]:
+def _sum_factors(pair: ContactPair) -> dict[str, float]:
     """Return the factors of results that are sums of forces; only a groove has ``flank``."""
-    return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
+    return {"force": 1.0} | (
+        {} if pair.half_angle_sine is None else {"flank": 1 / (2 * pair.half_angle_sine)}
+    )
 
 
-def _check_pressure(pair: Pair) -> Iterator[UsageError]:
+def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
     """Yield the errors of a contact with a pressure basis."""
     part, a, b = pair.part, pair.a, pair.b
     hint = 'delete this key, or write  shape = "rings"'
@@ -356,7 +358,7 @@ def _loaded_interval(force: np.ndarray) -> slice:
     return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
-def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
+def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
     """Yield the energy balance of the contact springs: work, stored energy and damping losses.
 
     Springs release all stored energy. A gain of energy indicates a rebound that is too high. The
@@ -388,7 +390,7 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
     yield Balance(entries, float(np.abs(missing).max()), scale, MAX_ENERGY_ERROR, advice)
 
 
-def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield a check whether the sphere rests on the body at the operating point."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
     if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.starts_moving:
@@ -400,7 +402,7 @@ def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
     yield Check(name, above, MAX_START_HEIGHT, "m", advice, action)
 
 
-def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
+def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     """Yield checks of the largest indentation, and of the number of contacts during the drive."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
@@ -424,7 +426,7 @@ def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
 
 
 def _check_open_ports(
-    pair: Pair, build: Build, waves: Waveforms, place: np.ndarray
+    pair: ContactPair, build: Build, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
     """Yield the check *outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
@@ -461,7 +463,7 @@ def _check_open_ports(
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
 
-def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield checks of the indentation for a contact with a pressure basis.
 
     The law holds until the contact radius is half of the patch radius. The law is inaccurate if

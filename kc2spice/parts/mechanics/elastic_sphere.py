@@ -16,7 +16,7 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import SPHERE_PATCH, Surface, make_pair
+from kc2spice.parts.mechanics._touching import SPHERE_PATCH, ContactSurface, make_pair
 from kc2spice.parts.mechanics.sphere import SphereKeys, sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
@@ -99,7 +99,7 @@ elastic = true
 
     def surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface | None:
+    ) -> ContactSurface | None:
         """Return the patch of the sphere if a contact names it as a port; otherwise None.
 
         Any other contact touches the part ``sphere``.
@@ -107,8 +107,11 @@ elastic = true
         if ports != (SPHERE_PATCH,):
             return None
 
-        compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
-        return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
+        compliance, pace = (
+            partial(self._find_compliance, part, scene),
+            _body(part, scene).rayleigh[1],
+        )
+        return ContactSurface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
     def full_key(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Mapping[str, Any]:
         """Return the data that determine the full model: sphere, mesh, pressure nodes."""
@@ -130,7 +133,7 @@ elastic = true
 
         shape = make_pair(_contact(part, scene), scene).shape
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
-            shares = self._compliance_of(part, scene, shape).shares
+            shares = self._find_compliance(part, scene, shape).shares
             return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
@@ -170,7 +173,7 @@ elastic = true
             f"at most {deep:.1g} of the dent, by its depth over the radius",
         )
 
-    def _compliance_of(
+    def _find_compliance(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
         """Return the contact compliance of the sphere for a set of pressure nodes."""

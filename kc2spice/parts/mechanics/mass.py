@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.parts.mechanics._touching import Surface, TouchablePart
+from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import frame_acceleration
 from kc2spice.scene.checks import Metric
@@ -60,7 +60,7 @@ class MassKeys(Section):
     )
 
 
-def _frames(count: int) -> list[str]:
+def _list_frame_pins(count: int) -> list[str]:
     """Return the names of acceleration pins of frames: ``frame``, ``frame2``, ``frame3``."""
     return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
@@ -80,7 +80,7 @@ def point_mass(
     """
     branches = [displacement("x", "a", "base")]
     shares, inertia = [], []
-    for end, value in zip(_frames(len(shaken)), shaken, strict=True):
+    for end, value in zip(_list_frame_pins(len(shaken)), shaken, strict=True):
         share = f"along_{end}"
         branches.append(frame_acceleration(f"a_{end}", end, "base"))
         shares.append(Param(share, value, "-", f"share of {end} along the displacement of a"))
@@ -123,7 +123,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Join the acceleration pins of the mass to the acceleration pins of the body."""
         shakes = _frame_accelerations(part, scene)
-        pins = zip(_frames(len(shakes)), shakes, strict=True)
+        pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
     def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> EquilibriumConditions:
@@ -151,9 +151,9 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
     def surface(
         self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface:
+    ) -> ContactSurface:
         """Return the pin of the mass as the contact surface."""
-        return Surface(part.name, ("a",), (0.0,))
+        return ContactSurface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
         """Return position [m] and velocity [m/s] at t = 0; None if the mass starts in equilibrium.

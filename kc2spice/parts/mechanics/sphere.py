@@ -27,7 +27,7 @@ from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Surface, TouchablePart, make_pair
+from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart, make_pair
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
@@ -207,13 +207,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
     def surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
-    ) -> Surface:
+    ) -> ContactSurface:
         """Return the lower pole of the sphere as the contact surface."""
         keys, carried = part.keys, _elastic_part(part)
         known = keys.material is not None or carried
         modulus = sphere_material(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
-        return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
+        return ContactSurface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
     def outline(self, part: Part[SphereKeys], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the sphere."""
@@ -367,7 +367,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
 
-def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
+def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
     """Return the sphere that another part throws, pushes or pulls."""
     return scene.partner(part, "sphere", "of").with_schema(SphereKeys)
 

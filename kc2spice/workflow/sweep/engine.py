@@ -175,7 +175,7 @@ def sweep_of_plan(
     return Sweep(first, job, plan, units, metrics)
 
 
-class _Study(BaseModel):
+class _StudyFile(BaseModel):
     """Sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -189,7 +189,7 @@ class _Study(BaseModel):
     metrics: list[str] = Field(default_factory=list)
 
 
-def studies() -> dict[str, Traversable]:
+def list_studies() -> dict[str, Traversable]:
     """Return the built-in studies by name."""
     folder = resources.files("kc2spice") / "studies"
     result = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
@@ -222,12 +222,12 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
     return make_sweep(read_scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
-def _find_study(name: str) -> _Study | None:
+def _find_study(name: str) -> _StudyFile | None:
     """Return the study ``name``: a built-in study, or a file with a key ``scene``.
 
     The result is None for a scene.
     """
-    builtin = studies().get(name)
+    builtin = list_studies().get(name)
     try:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_TEXT_BYTES)
         content = parse_toml(decode_text(data))
@@ -236,7 +236,7 @@ def _find_study(name: str) -> _Study | None:
     if not isinstance(content.get("scene"), str):
         return None
     try:
-        return _Study.model_validate(content)
+        return _StudyFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = f"{name}, key {'.'.join(map(str, first['loc']))}"

@@ -177,7 +177,7 @@ def compare_responses(
     """
     if not given:
         return relative_error(response, exact)
-    found, expected = (_prescribe_temperatures(H, given) for H in (response, exact))
+    found, expected = (_convert_to_hybrid_parameters(H, given) for H in (response, exact))
     inner = relative_error(found[0], expected[0]) if expected[0].size else 0.0
     shares = float(np.abs(found[1] - expected[1]).max(initial=0.0))
     base = np.abs(expected[2]) + np.reshape(stored, (-1, 1, 1))
@@ -189,7 +189,7 @@ def _stored_heat(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
     return 2 * np.pi * frequency * rom.facts.get(HEAT_CAPACITY_NAME, 0.0)
 
 
-def _prescribe_temperatures(
+def _convert_to_hybrid_parameters(
     H: np.ndarray, given: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return responses of other ports to heat and to given temperatures, and ``H_cc^-1``."""
