@@ -155,7 +155,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.magnetics.moving_magnet": "demagnetising_factor",
     "kc2spice.parts.magnetics.ring_magnet_coils": "coils_subcircuit",
     "kc2spice.parts.mechanics": "mass",
-    "kc2spice.parts.mechanics._touching": "Pair find_separation ring_gaps",
+    "kc2spice.parts.mechanics._touching": "ContactPair find_separation ring_gaps",
     "kc2spice.parts.mechanics.mass": "point_mass",
     "kc2spice.parts.mechanics.sphere": "SphereKeys rigid_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",

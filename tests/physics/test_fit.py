@@ -245,7 +245,7 @@ def test_keys_that_cannot_be_varied(vary):
     data = MeasuredAdmittance("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
     with pytest.raises(
         kc.errors.UsageError,
-        match=r"is not a number|has no keys|not a valid range|not a range|--vary is missing|twice",
+        match=r"is not a number|has no keys|not a valid range|not a range|vary is missing|twice",
     ):
         kc.fit(BUZZER, "disc", data, vary)
 

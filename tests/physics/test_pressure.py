@@ -13,7 +13,7 @@ from closed_forms import half_space, hertz
 from support import (
     Build,
     Chip,
-    Pair,
+    ContactPair,
     PressureBasis,
     Waveforms,
     choose_pressure_basis,
@@ -153,7 +153,7 @@ def test_a_contact_deeper_than_its_law_is_reported():
     """A contact as wide as half the patch of ``a`` is ``a^2 / (4 R)`` deep, by Hertz."""
     scene = load_scene("impact", [*SMALL, "contact.spacing=20 um"])
     contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius
-    limit = Pair(contact, scene).a.patch ** 2 / (4 * radius)
+    limit = ContactPair(contact, scene).a.patch ** 2 / (4 * radius)
     for depth, passed in ((0.5 * limit, True), (2.0 * limit, False)):
         none = np.zeros(3)
         data = {"time": np.array([0.0, 1.0, 2.0]), "sphere.y": radius - depth * np.ones(3),

@@ -12,10 +12,10 @@ from dataclasses import fields
 import pytest
 from support import (
     Clock,
+    ContactPair,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
-    Pair,
     PartType,
     WiredScene,
     Workspace,
@@ -121,9 +121,9 @@ def test_part_types_read_nothing_beyond_their_stage(name, monkeypatch):
 
 def test_a_contact_has_one_pair_of_surfaces(monkeypatch, tmp_path):
     pairs = []
-    built = Pair.__init__
+    built = ContactPair.__init__
     monkeypatch.setattr(
-        Pair, "__init__", lambda pair, *of: (pairs.append(of[0].name), built(pair, *of))[1]
+        ContactPair, "__init__", lambda pair, *of: (pairs.append(of[0].name), built(pair, *of))[1]
     )
     kc.run(kc.load_scene("impact"), tmp_path / "run")
     assert pairs == ["contact"]
