@@ -17,7 +17,7 @@ from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies.piezo_stack import Drive
+from kc2spice.parts.bodies.piezo_stack import KickPulse
 from kc2spice.parts.control.pid import Control
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -108,7 +108,7 @@ class Law:
     gravity: float
     force_map: ForceMap | None
     control: Control | None
-    drive: Drive | None
+    drive: KickPulse | None
 
     @property
     def q(self):
