@@ -151,7 +151,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.electronics.two_terminal_types": "TABLE=TWO_TERMINAL_TABLE element",
     "kc2spice.parts.electrostatics.gap": "count_film_branches",
     "kc2spice.parts.magnetics": "moving_conductor ring_magnet_coils",
-    "kc2spice.parts.magnetics.moving_conductor": "MAX_RING_ERROR declare",
+    "kc2spice.parts.magnetics.moving_conductor": "MAX_RING_ERROR declare_moving_body",
     "kc2spice.parts.magnetics.moving_magnet": "demagnetising_factor",
     "kc2spice.parts.magnetics.ring_magnet_coils": "coils_subcircuit",
     "kc2spice.parts.mechanics": "mass",

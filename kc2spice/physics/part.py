@@ -128,7 +128,7 @@ class DeclaredPart(PartType[KeysT]):
         d = self.resolved_declaration(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths to references: branches with a stiffness at rest or with a flow."""
         d = self.resolved_declaration(part, scene)
         values = d.values(part.keys)
@@ -255,9 +255,9 @@ class DeclaredPart(PartType[KeysT]):
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield "; ".join(self.resolved_declaration(part, scene).equations)
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
 
-    def neglected(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the effects that the declaration of a part neglects."""
         yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
 

@@ -32,9 +32,11 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         """Return the pin with the mass."""
         return self.moving_pins[:1]
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths of the declaration; the velocity of the mass cannot jump."""
-        return replace(super().at_rest(part, scene), inertial_pins=self.moving_pins[:1])
+        return replace(
+            super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
+        )
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header

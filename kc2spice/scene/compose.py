@@ -61,7 +61,9 @@ def with_rests(scene: Scene) -> Scene:
     """Return the scene with the equilibrium conditions of all parts."""
     records = {}
     for name, record in scene.records.items():
-        records[name] = replace(record, rest=record.part.type.at_rest(record.part, scene))
+        records[name] = replace(
+            record, rest=record.part.type.equilibrium_conditions(record.part, scene)
+        )
     return replace(scene, records=records)
 
 

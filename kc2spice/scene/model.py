@@ -224,8 +224,8 @@ class PartRecord(Generic[T]):
 
     Each field is the result of one method of :class:`PartType`, which the module
     :mod:`kc2spice.scene.resolve` calls once. ``rest`` is the result of the method
-    :meth:`PartType.at_rest`. All other fields have the name of their method. The class of
-    ``shared_data`` is defined in the package of the part.
+    :meth:`PartType.equilibrium_conditions`. All other fields have the name of their method. The
+    class of ``shared_data`` is defined in the package of the part.
     """
 
     part: Part
@@ -556,8 +556,8 @@ def scene_hash(scene: Scene) -> str:
 class BuildRecord:
     """Record of one part of a build; a part without cards has no results.
 
-    The fields are the results of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
-    :meth:`PartType.settable`.
+    The fields are the results of :meth:`PartType.equilibrium_with_model`,
+    :meth:`PartType.vectors` and :meth:`PartType.settable`.
     """
 
     rest: EquilibriumConditions
@@ -762,7 +762,7 @@ class PartType(Generic[KeysT]):
         """
         return None
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the constraints and loads of the part, before its model is built.
 
         An operating point exists only if, for each displacement, temperature or pressure pin, a
@@ -887,11 +887,11 @@ class PartType(Generic[KeysT]):
         """
         return None
 
-    def rest_with_model(self, part: Part[KeysT], build: Build) -> EquilibriumConditions:
+    def equilibrium_with_model(self, part: Part[KeysT], build: Build) -> EquilibriumConditions:
         """Return the constraints and loads of the part, after its model is built.
 
-        By default, the result is the result of :meth:`at_rest`. A body overrides this method if its
-        constraints can only be determined from its matrices.
+        By default, the result is the result of :meth:`equilibrium_conditions`. A body overrides this
+        method if its constraints can only be determined from its matrices.
         """
         return build.scene.records[part.name].rest
 

@@ -62,7 +62,7 @@ def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
     """
     records = {}
     for name, part in build.scene.parts.items():
-        records[name] = BuildRecord(part.type.rest_with_model(part, build))
+        records[name] = BuildRecord(part.type.equilibrium_with_model(part, build))
     for reduced in (False, True):
         build = replace(build, records=dict(records))
         for part in _with_cards(build):

@@ -119,7 +119,7 @@ class BodyFit:
         self.progress("fit", None, f"finite element model {self.counted[0]}")
         if moved:
             like = self.like.part(self.part, where=self.part)
-            model = part.type.varied(part, loaded, Clock(), like)
+            model = part.type.full_on_mesh(part, loaded, Clock(), like)
         else:
             model = part.type.full(part, loaded, Clock())
         electrical = [port.name for port in model.ports if port.electrical]

@@ -253,7 +253,7 @@ def test_shipped_parameters_are_those_of_full_models(scene, tmp_path):
             "disc.layers[1].material": {"like": "PZT-5A", "permittivity": permittivity},
         }
         part = (changed := load_scene(scene, shifted)).parts["disc"]
-        full = part.type.varied(part, changed, Clock(), like).select(driven_pins(path))
+        full = part.type.full_on_mesh(part, changed, Clock(), like).select(driven_pins(path))
         around = full.facts["resonance_short_hz"] * np.linspace(0.94, 1.06, 13)
         for f in (np.linspace(*band, 17), around):
             anode = full.inputs.index("anode")

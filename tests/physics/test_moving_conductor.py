@@ -15,7 +15,7 @@ from support import (
     DeclaredLaw,
     UsageError,
     Winding,
-    declare,
+    declare_moving_body,
     divide_section,
     ignore_progress,
     load_scene,
@@ -232,7 +232,7 @@ def test_energy_and_force_of_a_state_follow_from_one_coenergy():
     found = reduce_to_loops(
         divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
     )
-    law = DeclaredLaw("c", declare(part, found).with_loop_pin, (ALUMINIUM,))
+    law = DeclaredLaw("c", declare_moving_body(part, found).with_loop_pin, (ALUMINIUM,))
     first = len(law.across_inputs)
     rng = np.random.default_rng(5)
     for _ in range(5):

@@ -79,7 +79,7 @@ def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
         fresh = kc.load_scene(_with({}), {f"disc.{KEY}": t, f"disc.{LOSS}": q})
         part = fresh.parts["disc"]
         like = kc.load_scene(_with({}), {f"disc.{KEY}": np.sqrt(1.1e-4 * 1.3e-4)}).parts["disc"]
-        full = part.type.varied(part, fresh, Clock(), like).select(["anode"])
+        full = part.type.full_on_mesh(part, fresh, Clock(), like).select(["anode"])
         exact = 2j * np.pi * f * full.transfer(f)[:, 0, 0]
         current = found.waves["disc.current"][::4]
         largest = max(largest, float(np.abs(current / exact - 1).max()))
@@ -357,7 +357,7 @@ def test_sensitivities_are_the_slopes_of_full_models(deck):
 
     def resonance(share: float) -> float:
         other = with_values(part, {KEY: share * part.keys.layers[1].thickness})
-        return part.type.varied(other, scene, Clock(), part).facts["resonance_short_hz"]
+        return part.type.full_on_mesh(other, scene, Clock(), part).facts["resonance_short_hz"]
 
     told = kc.run(scene).metrics["sensitivity"]
     slope = (resonance(1.01) - resonance(0.99)) / (0.02 * resonance(1.0))
@@ -379,7 +379,7 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
     def resonance(thickness: float, modulus: float) -> float:
         keys = {"layers[1].thickness": thickness, "layers[0].material.youngs_modulus": modulus}
         other = with_values(part, keys)
-        return part.type.varied(other, scene, Clock(), part).facts["resonance_short_hz"]
+        return part.type.full_on_mesh(other, scene, Clock(), part).facts["resonance_short_hz"]
 
     nominal = np.array([120e-6, 110e9])
     draws = norm.ppf(qmc.LatinHypercube(2, rng=1).random(30))
@@ -408,7 +408,7 @@ def buzzer(values: dict) -> LinearModel:
     """The disc with its electrical port, on the mesh of the scene above."""
     scene = thick(**values)
     part = scene.part("disc")
-    return part.type.varied(part, scene, Clock(), thick().part("disc")).select(["anode"])
+    return part.type.full_on_mesh(part, scene, Clock(), thick().part("disc")).select(["anode"])
 
 
 def two_masses(values):
@@ -522,7 +522,7 @@ def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
     boxed = {"tolerance": 1e-3, "band": [0, 700e3], "parameters": ranges}
     whole = scene(boxed)
     part = whole.parts["kick"]
-    found = part.type.varying(part, whole, Clock())
+    found = part.type.build_over_ranges(part, whole, Clock())
     f, draw = np.linspace(5e3, 700e3, 25), np.random.default_rng(4)
     for _ in range(50):
         values = {

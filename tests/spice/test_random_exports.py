@@ -344,7 +344,9 @@ def test_parametric_bodies(family, tmp_path):
             key: float(low + at * (high_ - low))
             for at, (key, (low, high_)) in zip(x, ranges.items(), strict=True)
         }
-        full = body.type.varied(with_values(body, values), scene, Clock(), middle).select(ports)
+        full = body.type.full_on_mesh(with_values(body, values), scene, Clock(), middle).select(
+            ports
+        )
         f = frequencies(rng, (0.01 * high, high), points=POINTS if make is disc else FEW)
         named = {names[key]: value for key, value in values.items()}
         require_within(ngspice(library, full.ports, f, tmp_path, named), full.transfer(f), library)

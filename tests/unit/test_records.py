@@ -77,7 +77,7 @@ def test_loading_a_scene_calls_each_method_of_a_part_once(monkeypatch):
         "highest_frequency",
         "shared_data",
         "default_joins",
-        "at_rest",
+        "equilibrium_conditions",
         "numerics",
         "reduction",
         "pins",

@@ -143,7 +143,9 @@ class AcousticPart(PartType[FluidKeysT]):
         ambient = Terminal.of(AMBIENT, ACOUSTIC, None if joined else GROUND)
         return (*ends, replace(ambient, required=joined))
 
-    def at_rest(self, part: Part[FluidKeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[FluidKeysT], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the pins between which the network passes a steady flow."""
         return EquilibriumConditions(self.paths(part))
 

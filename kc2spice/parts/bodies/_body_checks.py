@@ -205,13 +205,15 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             if self._has_constant_losses(part):
                 return None
             try:
-                return self.orders(part, build.scene, Clock()).enriched(key["enriched"], band)
+                return self.fixed_order_reductions(part, build.scene, Clock()).enriched(
+                    key["enriched"], band
+                )
             except (SimulationError, UsageError):
                 return None
 
         kinds = (LinearModel, Certificate, Port)
         rich = load_or_build(
-            "enriched", key, build_larger_model, classes=kinds, sources=self.sources()
+            "enriched", key, build_larger_model, classes=kinds, sources=self.source_modules()
         )
         if rich is None or count < 2:
             return None

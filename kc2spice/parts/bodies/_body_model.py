@@ -82,7 +82,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
         """Return the full model of the whole device."""
 
-    def varied(
+    def full_on_mesh(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
         """Return the full model on the mesh of ``like``, a part with other values.
@@ -159,7 +159,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         reached = {} if least_end is None else {"sure": least_end, "motions": BAND_MODES}
         return result | reached | {"massless": requires_massless_ports(part, scene)}
 
-    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ModelOverRanges:
+    def build_over_ranges(
+        self, part: Part[LinearKeysT], scene: Scene, clock: Clock
+    ) -> ModelOverRanges:
         """Return the reduced model over the ranges of ``rom.parameters``."""
         keys = list_varied_keys(part)
         middle = with_values(part, range_middles(keys))
@@ -192,7 +194,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
-                return self.varied(other, scene, clock, middle).select(key["ports"])
+                return self.full_on_mesh(other, scene, clock, middle).select(key["ports"])
 
             band = self.limit_band(target.band, key, lambda: full(range_middles(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
@@ -210,7 +212,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         def load() -> ModelOverRanges:
             """Build the reduced model over the ranges, or read it from the cache."""
             classes = (*self.range_classes, ParameterAxis, Certificate, Port)
-            return load_or_build("box", key, build, classes=classes, sources=self.sources())
+            return load_or_build("box", key, build, classes=classes, sources=self.source_modules())
 
         return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
 
@@ -230,7 +232,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if not keys:
             return self.full(part, scene, clock).select(names)
         middle = with_values(part, range_middles(keys))
-        return self.varied(part, scene, clock, middle).select(names)
+        return self.full_on_mesh(part, scene, clock, middle).select(names)
 
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
@@ -240,7 +242,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             # The matrices of a full model cannot represent some losses.
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := list_varied_keys(part):
-            return self.varying(part, scene, clock).at(read_key_values(keys))
+            return self.build_over_ranges(part, scene, clock).at(read_key_values(keys))
         # ``build`` uses these values, so they are part of the cache key. Of the code of ``build``,
         # the key contains only hashes of modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
@@ -253,7 +255,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
             from kc2spice.rom.soft_support import support_softly
 
-            orders = self.orders(part, scene, clock)
+            orders = self.fixed_order_reductions(part, scene, clock)
             selected = orders.model
             with clock.time_stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
@@ -289,7 +291,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             return replace(modal.linear(), **labels)
 
         kinds = (LinearModel, Certificate, Port)
-        return load_or_build("body", model_key, build, classes=kinds, sources=self.sources())
+        return load_or_build("body", model_key, build, classes=kinds, sources=self.source_modules())
 
     def limit_band(
         self,
@@ -320,7 +322,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         # a contact, a switch or a table excites modes above the band
         return reduce_model(model, **aims, contact=True)
 
-    def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ReductionsByOrder:
+    def fixed_order_reductions(
+        self, part: Part[LinearKeysT], scene: Scene, clock: Clock
+    ) -> ReductionsByOrder:
         """Return an object that reduces the full model with the scene's ports to prescribed orders.
 
         The object stays in the workspace, because the next scene often needs another order.
@@ -338,7 +342,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 
-    def sources(self) -> tuple[str, ...]:
+    def source_modules(self) -> tuple[str, ...]:
         """Return the modules whose text determines the models of this type, for the cache key."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*MODEL_SOURCES, *classes)

@@ -74,7 +74,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         if keys := list_varied_keys(part):
             from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
-            result = self.varying(part, build.scene, Clock())
+            result = self.build_over_ranges(part, build.scene, Clock())
             known = {item.key: item.param for item in keys}
             params = [*map(known.__getitem__, result.parameter_axes)]
             return (parametric_subcircuit(result, name, params, header, **words),)

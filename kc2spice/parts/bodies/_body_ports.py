@@ -136,16 +136,20 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
         return scene.pins(part.name)[last]
 
-    def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[LinearKeysT], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the paths in equilibrium: pairs of a pin and the reference pin."""
         last = self.reference(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
-        paths = super().at_rest(part, scene).paths
+        paths = super().equilibrium_conditions(part, scene).paths
         if self.gives_off_heat(part, scene):
             paths = tuple(path for path in paths if HEAT not in path)
         return EquilibriumConditions(tuple((pin, end) for pin, _ in paths if pin != end))
 
-    def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> EquilibriumConditions:
+    def equilibrium_with_model(
+        self, part: Part[LinearKeysT], build: Build
+    ) -> EquilibriumConditions:
         """Return the paths in equilibrium with the built model.
 
         The pins of a supported body have paths to the reference pin, and the pins of a free body

@@ -66,7 +66,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if not keys or "bvd" not in result:
             return result
         # The sensitivities d ln(metric) / d ln(key) are central differences within the ranges.
-        box = self.varying(part, build.scene, Clock())
+        box = self.build_over_ranges(part, build.scene, Clock())
         port = paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
         for key in keys:
@@ -190,9 +190,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
             yield Neglected(
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
 
-    def neglected(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the effect that ``solver.ringing = "coarse"`` neglects."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"

@@ -99,9 +99,9 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def describe_support(self, part: Part[FieldKeysT]) -> str:
         """Return a description of the support of the body."""
 
-    def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the neglected effects of meshes, electrodes and the support."""
-        yield from super().neglected(part, scene)
+        yield from super().list_neglected_effects(part, scene)
         yield from neglected_effects(
             part.name,
             self.envelope(part, scene),
@@ -314,7 +314,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         """Return the finite-element model of the blocks."""
         return self.sounding(part, scene).device()
 
-    def varied(
+    def full_on_mesh(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
         """Return the full model on the mesh of the part ``like``, with moved nodes."""

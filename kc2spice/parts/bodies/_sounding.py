@@ -171,8 +171,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
                     warnings.warn(text, stacklevel=2)
         return result
 
-    def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
-        yield from super().neglected(part, scene)
+    def list_neglected_effects(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
+        yield from super().list_neglected_effects(part, scene)
         facing = self.facing_fluids(part, scene)
         if not facing:
             return

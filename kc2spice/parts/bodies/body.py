@@ -717,7 +717,7 @@ class Body(MeshedBody[BodyKeys]):
             return list(map(float, sides))
 
         key = {"file": hash_file(mesh_path(part, scene)), "unit": part.keys.unit}
-        return load_or_build("extent", key, size, sources=self.sources())
+        return load_or_build("extent", key, size, sources=self.source_modules())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
         """Return the outer box, from which the effects of air are estimated."""
@@ -751,7 +751,7 @@ class Body(MeshedBody[BodyKeys]):
             self.full_key(part, build.scene),
             lambda: draw_edges("", self.device(part, build.scene).solid.mesh),
             classes=(Curve,),
-            sources=self.sources(),
+            sources=self.source_modules(),
         )
         panel = Panel("mm", "mm", (curve,), equal=True)
         caption = f"Edges of the mesh {part.keys.mesh}."

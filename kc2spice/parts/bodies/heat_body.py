@@ -297,15 +297,19 @@ dc = "1 W"
         if part.keys.mesh is not None:
             yield from find_mesh_problems(part, scene)
 
-    def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[HeatBodyKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the paths of steady heat flow: to the pin ``ambient``, or between other pins."""
-        rest = super().at_rest(part, scene)
+        rest = super().equilibrium_conditions(part, scene)
         if part.keys.leads_away:
             return rest
         first, *others = (pin for pin, _ in rest.paths)
         return EquilibriumConditions(tuple((pin, first) for pin in others))
 
-    def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> EquilibriumConditions:
+    def equilibrium_with_model(
+        self, part: Part[HeatBodyKeys], build: Build
+    ) -> EquilibriumConditions:
         """Return the paths of heat, which are the same with and without the built model."""
         return build.scene.records[part.name].rest
 
@@ -494,9 +498,9 @@ dc = "1 W"
         kind = f"temperatures of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
-    def neglected(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
         """Yield the neglected effects: temperature-dependent materials, and lateral heat flow."""
-        yield from super().neglected(part, scene)
+        yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")
         if part.keys.layers:

@@ -255,9 +255,9 @@ stop = "100 kHz"
         """Describe the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
-    def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
         """Yield the neglected effects: preload of the bolt, and compliance of the joints."""
-        yield from super().neglected(part, scene)
+        yield from super().list_neglected_effects(part, scene)
         why = "pieces are bonded and free of stress at rest"
         yield Neglected(
             f"{part.name}: preload of the bolt, compliance of joints", why, NOT_ESTIMATED_TEXT

@@ -405,7 +405,7 @@ class PiezoStack(MeshedBody[Stack]):
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
         yield f"{detail}reduced to {describe_target(rom)}, anode {keys.electrical}, {ports}"
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
             error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "

@@ -126,7 +126,7 @@ class Resonator:
         """Return the effective coupling factor of a mode, ``sqrt(1 - (fs / fp)^2)``."""
         return math.sqrt(max(0.0, 1 - (self.fs[mode] / self.fp[mode]) ** 2))
 
-    def quality(self, mode: int) -> float:
+    def q_factor(self, mode: int) -> float:
         """Return the Q factor of a mode, ``1 / (2 pi fs rm cm)``."""
         return 1 / (TWO_PI * self.fs[mode] * self.rm[mode] * self.cm[mode])
 
@@ -196,9 +196,9 @@ class ResonatorPart(NumberedPart[KeysT]):
             *(HEAT_TERMINALS if is_heated(part, scene) else ()),
         )
 
-    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium, which connect all pins except the heat pin."""
-        paths = super().at_rest(part, scene).paths
+        paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
     def subcircuits(
@@ -293,7 +293,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         for n, fs in enumerate(circuit.fs):
             yield (
                 f"mode {n + 1}: fs {fs:.6g} Hz, fp {circuit.fp[n]:.6g} Hz, Q "
-                f"{circuit.quality(n):.4g}, coupling {circuit.coupling(n):.4g}, "
+                f"{circuit.q_factor(n):.4g}, coupling {circuit.coupling(n):.4g}, "
                 f"rm {circuit.rm[n]:.4g} Ohm"
             )
         yield Neglected("further modes", "the data sheet states none", "not estimated")

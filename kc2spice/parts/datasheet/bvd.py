@@ -115,7 +115,7 @@ MODE_VALUES: Mapping[str, Callable[..., float]] = {
     "cm": lambda circuit, mode: circuit.cm[mode],
     "lm": lambda circuit, mode: circuit.lm[mode],
     "rm": lambda circuit, mode: circuit.rm[mode],
-    "qm": lambda circuit, mode: circuit.quality(mode),
+    "qm": lambda circuit, mode: circuit.q_factor(mode),
     "zs": lambda circuit, mode: 1 / abs(circuit.admittance(np.array(circuit.fs[mode]))),
 }
 VALUE_UNITS_OF_SHEET = {

@@ -127,7 +127,7 @@ scale = "linear"
             positive_parameter(motion, round_to_digits(value), CRYSTAL_UNITS[motion], words)
         )
         loss = "r1" if keys.r1 else "q"
-        value = circuit.rm[0] if loss == "r1" else circuit.quality(0)
+        value = circuit.rm[0] if loss == "r1" else circuit.q_factor(0)
         words = "motional resistance" if loss == "r1" else "Q factor"
         params.append(
             positive_parameter(loss, round_to_digits(value), CRYSTAL_UNITS[loss] or "-", words)
@@ -157,7 +157,7 @@ def _list_relations(load: float | None) -> dict[str, Relation]:
         "c1": lambda circuit: circuit.cm[0],
         "l1": lambda circuit: circuit.lm[0],
         "r1": lambda circuit: circuit.rm[0],
-        "q": lambda circuit: circuit.quality(0),
+        "q": lambda circuit: circuit.q_factor(0),
     }
     return {key: as_function_of_unknowns(value) for key, value in values.items()}
 

@@ -243,7 +243,9 @@ stop = "1 kHz"
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
         return declare_moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
-    def at_rest(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[LoudspeakerKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the path in equilibrium: the suspension between cone and frame."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
@@ -353,7 +355,7 @@ stop = "1 kHz"
             yield _describe_ladder("ke", semi_inductance_ladder(), SEMI_INDUCTANCE_BAND, 1 / TWO_PI)
         if driver.creep:
             yield _describe_ladder("creep", creep_ladder(), CREEP_BAND, driver.fs)
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
 
 
 def _describe_ladder(

@@ -244,7 +244,7 @@ pins = { a = "relay.com", b = "gnd" }
             "inductance that depends on the armature", "one value", "the dip of the coil's current"
         )
         yield Neglected("arcs", "contacts are resistances", "not estimated")
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
 
 
 register(Relay())

@@ -238,7 +238,9 @@ class Source(PartType[SourceKeys]):
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
-    def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[SourceKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the prescribed difference of the pins, or the constant flow into them."""
         pair = (("out", "ret"),)
         if SOURCE_TYPES[part.keys.kind].letter == "V":

@@ -34,7 +34,7 @@ register(
             CombDriveKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
             constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.energy("x - travel"),
+            energy=_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
             forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",

@@ -390,7 +390,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
         capacitances.append(capacitance)
         damping.append(f"0.5*rest*share{k}/{gap}^3*x{k}_rate^2")
         indentation = f"{sign}1*x{k} - travel"
-        energy.append(_stop.energy(indentation, f"share{k}*"))
+        energy.append(_stop.write_stop_energy(indentation, f"share{k}*"))
         forces[f"x{k}"] = _stop.write_stop_loss(indentation, f"x{k}_rate", f"share{k}*")
         stops[f"the stop of patch {k}"] = indentation
         limits[f"what is left of the gap at patch {k}"] = f"gap - {sign}1*x{k}"

@@ -38,7 +38,7 @@ register(
             ParallelPlateKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
             constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.energy("x - travel"),
+            energy=_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
             forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",

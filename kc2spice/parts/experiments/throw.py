@@ -94,7 +94,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
         leave = _touching.find_separation(
-            t, force, waves[f"{ball.name}.v"], power=pair.normal.power
+            t, force, waves[f"{ball.name}.v"], power=pair.contact_force.power
         )
         time, lowest = find_minimum(t, y)
         return {

@@ -205,7 +205,7 @@ def _declare(
     )
 
 
-def declare(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
+def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
     """Declare the coenergy ``i' L i / 2`` and the losses.
 
     The couplings are power series of the height. The couplings of a magnet, which has no loops,
@@ -259,7 +259,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
         """Return the declaration after the model is built."""
-        return declare(part, build.model(part, LoopModel))
+        return declare_moving_body(part, build.model(part, LoopModel))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
@@ -500,7 +500,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {highest}, exact in currents, power series of the height"
         )
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
         depth = 1e3 * _skin_depth(keys, frequency)
         yield Neglected(
             f"eddy currents above {frequency:.4g} Hz",

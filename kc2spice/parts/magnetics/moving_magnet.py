@@ -126,7 +126,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
-        yield from self.neglected(part, scene)
+        yield from self.list_neglected_effects(part, scene)
         keys = part.keys
         extra = keys.mu_r - 1
         factor = demagnetising_factor(keys.inner, keys.radius, keys.thickness)

@@ -55,7 +55,7 @@ register(
             ReluctanceKeys,
             (current("i", "plus", "minus"), displacement("x", "a", "b")),
             constants={"mu0": repr(MU_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.energy("x - travel"),
+            energy=_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
             forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",

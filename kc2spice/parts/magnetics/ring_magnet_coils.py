@@ -226,9 +226,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
         return (*ends, *thermal)
 
-    def at_rest(self, part: Part[Coils], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(self, part: Part[Coils], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths in equilibrium: each pin except the heat pin is fixed to ground."""
-        clamps = super().at_rest(part, scene).paths
+        clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:

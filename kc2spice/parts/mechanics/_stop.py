@@ -50,7 +50,7 @@ STOP_NEGLECTED = (
 )
 
 
-def energy(indentation: str, share: str = "") -> str:
+def write_stop_energy(indentation: str, share: str = "") -> str:
     """Write the energy of the stop's spring times ``share``, as an expression.
 
     ``indentation`` is negative before the stop is reached.

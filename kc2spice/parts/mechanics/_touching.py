@@ -221,7 +221,7 @@ class ContactPair:
         return max(result, key=lambda item: item.depth)
 
     @property
-    def starts_moving(self) -> bool:
+    def has_initial_velocity(self) -> bool:
         """Return whether a side can have an initial velocity; a rigid ceiling never moves."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
@@ -232,7 +232,7 @@ class ContactPair:
     # --- the law ----------------------------------------------------------------------------------
 
     @cached_property
-    def normal(self) -> ContactForce:
+    def contact_force(self) -> ContactForce:
         """Return the contact law of the whole device at each port.
 
         A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
@@ -246,8 +246,8 @@ class ContactPair:
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
             assert self.b.radius is not None
-            local, pace = self.indentation
-            result = _indentation_law(self.shape, local.compliance, self.b.radius)
+            local, pace = self.basis_compliance
+            result = _indentation_law(self.pressure_basis, local.compliance, self.b.radius)
             first, *_ = result.coefficients
             curve = tuple(np.divide(result.coefficients, first).tolist())
             stiffness, of = first / result.depth**1.5, (result.depth, pace, self.b.radius)
@@ -289,16 +289,16 @@ class ContactPair:
     # --- pressure (kc2spice.bodies.pressure) ------------------------------------------------------
 
     @cached_property
-    def shape(self) -> PressureBasis:
+    def pressure_basis(self) -> PressureBasis:
         """Pressure basis functions (P1) over the patch of ``a``."""
         from kc2spice.bodies.pressure import choose_pressure_basis
 
         return choose_pressure_basis(self.keys.spacing, self.a.patch)
 
     @cached_property
-    def indentation(self) -> tuple[LocalCompliance, float]:
+    def basis_compliance(self) -> tuple[LocalCompliance, float]:
         """Compliance of both sides for the pressure basis, and its response time [s]."""
-        return self._combine_compliances(self.shape)
+        return self._combine_compliances(self.pressure_basis)
 
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
         """Return the sum of the compliances of both sides, and its response time [s].
@@ -323,10 +323,12 @@ class ContactPair:
         from kc2spice.bodies.pressure import solve_contact_forces
 
         assert self.b.radius is not None
-        depths = np.linspace(0.0, self.normal.depth, 1000)
-        depth = np.interp(force, self.normal.force(depths), depths)
-        gap = ring_gaps(self.shape.distances, self.b.radius)
-        result = solve_contact_forces(self.indentation[0].compliance, gap, np.array([depth]))[0]
+        depths = np.linspace(0.0, self.contact_force.depth, 1000)
+        depth = np.interp(force, self.contact_force.force(depths), depths)
+        gap = ring_gaps(self.pressure_basis.distances, self.b.radius)
+        result = solve_contact_forces(self.basis_compliance[0].compliance, gap, np.array([depth]))[
+            0
+        ]
         return np.asarray(force / result.sum() * result)
 
     def basis_error(self) -> float:

@@ -88,7 +88,7 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
-        return _declare(pair, pair.normal, under, part.keys.groove)
+        return _declare(pair, pair.contact_force, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -109,7 +109,9 @@ class Contact(DeclaredPart[ContactKeys]):
             {INDENTATION_PIN: f"{pair.b.elastic}.{SPHERE_PATCH}"} if pair.b.elastic else {}
         )
 
-    def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[ContactKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the paths in equilibrium, with paths through surfaces that touch at rest."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
@@ -149,7 +151,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.normal  # the type checker cannot infer this type
+            assert pair.contact_force  # the type checker cannot infer this type
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results of the part, keyed by name."""
@@ -181,10 +183,10 @@ class Contact(DeclaredPart[ContactKeys]):
         """Return the metrics of the part, keyed by name."""
         pair = make_pair(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
-        if "time" not in waves or v is None or pair.starts_moving:
+        if "time" not in waves or v is None or pair.has_initial_velocity:
             return {}
         force, busy = waves[f"{part.name}.force"], last_source_change(build.scene)
-        launch = find_separation(waves["time"], force, v, busy, pair.normal.power)
+        launch = find_separation(waves["time"], force, v, busy, pair.contact_force.power)
         return {
             "launch_velocity_m_s": Metric(launch[1] if launch else None, "m/s"),
             "launch_time_s": Metric(launch[0] if launch else None, "s"),
@@ -195,7 +197,7 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks of a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
-        if "time" in waves and not pair.starts_moving:
+        if "time" in waves and not pair.has_initial_velocity:
             steps = motion_error_limit(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
             reduced = DEFAULT_LAUNCH_LIMIT
@@ -260,7 +262,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, pair = part.keys, make_pair(part, scene)
-        normal = pair.normal
+        normal = pair.contact_force
         if keys.shape == "pressure":
             depth = format_quantity(normal.depth, "m", 3)
             spacing = format_quantity(keys.spacing, "m")
@@ -364,7 +366,7 @@ def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> I
     Springs release all stored energy. A gain of energy indicates a rebound that is too high. The
     scale is the work on the springs, or their stored energy if nothing moves.
     """
-    normal, ports = pair.normal, pair.ports
+    normal, ports = pair.contact_force, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
     if any(height is None for height in heights):
         return
@@ -393,7 +395,12 @@ def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> I
 def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield a check whether the sphere rests on the body at the operating point."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
-    if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.starts_moving:
+    if (
+        pair.b.radius is None
+        or force is None
+        or pair.scene.movers.get(other)
+        or pair.has_initial_velocity
+    ):
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
     advice = f"forces on {other} balance there before anything moves: change them (magnets: "
@@ -406,7 +413,7 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     """Yield checks of the largest indentation, and of the number of contacts during the drive."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
-        depth = float(forces.max()) / pair.normal.stiffness
+        depth = float(forces.max()) / pair.contact_force.stiffness
         advice = f"the penalty springs give more than the surfaces curve: raise {n}.penalty"
         limit, action = float(pair.gaps[1]), scene.checks.penetration
         yield Check("penetration", depth, limit, "m", advice, action)
@@ -475,7 +482,9 @@ def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
     deepest, checks = float((height - place - pair.keys.gap).max()), pair.scene.checks
     advice = f"no law of the pressure is known so deep: more {pair.a.part}.mesh.rings, or wider"
     advice += " ones"
-    yield Check("depth of the contact", deepest, pair.normal.depth, "m", advice, checks.range)
+    yield Check(
+        "depth of the contact", deepest, pair.contact_force.depth, "m", advice, checks.range
+    )
     if deepest > 0.0 and pair.b.radius is not None:
         widest, spacing = (
             math.sqrt(deepest * pair.b.radius) / FUNCTIONS_PER_RADIUS,

@@ -122,7 +122,7 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": mesh,
-            "pressure_basis": make_pair(_contact(part, scene), scene).shape.nodes.tolist(),
+            "pressure_basis": make_pair(_contact(part, scene), scene).pressure_basis.nodes.tolist(),
         }
 
     def full(
@@ -131,7 +131,7 @@ elastic = true
         """Return the full model of the elastic sphere."""
         from kc2spice.bodies.pressure import model_sphere
 
-        shape = make_pair(_contact(part, scene), scene).shape
+        shape = make_pair(_contact(part, scene), scene).pressure_basis
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._find_compliance(part, scene, shape).shares
             return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
@@ -158,7 +158,9 @@ elastic = true
         """
         return COARSE_WEIGHTS
 
-    def neglected(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(
+        self, part: Part[ElasticSphereKeys], scene: Scene
+    ) -> Iterator[Neglected]:
         """Yield the ringing of the sphere during its free flight."""
         why = "steps do not resolve it in flight, and it does not change the path of the centre"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none on the path")
@@ -166,7 +168,9 @@ elastic = true
     def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield from super().notes(part, scene)
-        deep = make_pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
+        deep = (
+            make_pair(_contact(part, scene), scene).contact_force.depth / _body(part, scene).radius
+        )
         yield Neglected(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
@@ -186,7 +190,7 @@ elastic = true
             key,
             lambda: compute_sphere_compliance(*arguments),
             classes=kinds,
-            sources=self.sources(),
+            sources=self.source_modules(),
         )
 
 

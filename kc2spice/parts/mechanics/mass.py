@@ -126,7 +126,9 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
-    def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[MassKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the pins of the mass in equilibrium; its weight acts at ``a``."""
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(

@@ -226,7 +226,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
-    def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[SphereKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the pins of the sphere in equilibrium; its weight acts at ``v``."""
         if _has_prescribed_motion(part, scene):
             return EquilibriumConditions()

@@ -336,7 +336,7 @@ def _solve_full_response(part: Part, build: Build, full: LinearModel, at: np.nda
     }
 
     result = load_or_build(
-        "transfer", depends, lambda: full.transfer(at), sources=part.type.sources()
+        "transfer", depends, lambda: full.transfer(at), sources=part.type.source_modules()
     )
     return np.asarray(result)
 
