@@ -890,7 +890,7 @@ class PartType(Generic[KeysT]):
     def equilibrium_with_model(self, part: Part[KeysT], build: Build) -> EquilibriumConditions:
         """Return the constraints and loads of the part, after its model is built.
 
-        By default, the result is the result of :meth:`equilibrium_conditions`. A body overrides this
+        By default, the result is that of :meth:`equilibrium_conditions`. A body overrides this
         method if its constraints can only be determined from its matrices.
         """
         return build.scene.records[part.name].rest
