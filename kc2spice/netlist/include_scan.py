@@ -21,8 +21,13 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path, PurePosixPath
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import explain_unsafe_name, make_plain_name, read_bounded
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.untrusted_files import (
+    explain_unsafe_name,
+    make_encoding_error,
+    make_plain_name,
+    read_bounded,
+)
 from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, split_statements
 from kc2spice.netlist.spelling import format_comment
@@ -98,7 +103,13 @@ class _Reader:
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
             raise UsageError(
-                "this file includes itself, directly or through other files", where=where, got=got
+                "this file includes itself, directly or through other files",
+                where=where,
+                got=got,
+                hint="delete this line"
+                if chain[-1] == real
+                else f"delete one of the .include "
+                f"lines of {' and '.join(dict.fromkeys(map(attrgetter('name'), chain)))}",
             )
         goes_on = False
         for number, raw in enumerate(self._read_text(name, real, where).split("\n"), 1):
@@ -152,13 +163,18 @@ class _Reader:
         if self.files > MAX_INCLUDED_FILES:
             expected = f"at most {MAX_INCLUDED_FILES}"
             raise UsageError(
-                "the netlist includes too many files", where=str(self.main), expected=expected
+                "the netlist includes too many files",
+                where=str(self.main),
+                expected=expected,
+                hint="copy the content of small files in place of their .include lines",
             )
         if self._is_outside(real):
             message = "the included file is outside of the directory of the netlist"
-            raise UsageError(message, where=where, got=name)
+            hint = f"copy the file into {self.home}, and write its new path"
+            raise UsageError(message, where=where, got=name, hint=hint)
         try:
             data = read_bounded(real, MAX_CIRCUIT_BYTES - self.size)
+            _require_netlist_format(data, name if where == str(self.main) else where)
             self.size += len(data)
             try:
                 text = data.decode("utf-8-sig")
@@ -187,14 +203,72 @@ class _Reader:
             ) from None
 
 
+# First bytes of files of other programs, the name of the format, and the action.
+_OTHER_FORMATS = {
+    b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) in its place"),
+    b"PK\x03\x04": ("an archive", "unpack it, and give the path of the netlist in it"),
+    b"Version 4": (
+        "a schematic of LTspice",
+        "open it in LTspice, choose View > SPICE Netlist, and save the text as a .cir file",
+    ),
+    b"(kicad_sch": (
+        "a schematic of KiCad",
+        "open it in KiCad, choose File > Export > Netlist > SPICE, and give that file",
+    ),
+    b"<!DOCTYPE": ("a web page", "download the netlist itself in place of the page around it"),
+    b"<html": ("a web page", "download the netlist itself in place of the page around it"),
+}
+
+
+def _require_netlist_format(data: bytes, where: str) -> None:
+    """Reject files of other programs, binary files, and text in UTF-16.
+
+    Raises
+    ------
+    UsageError : the file is not a netlist; the message contains its format.
+    """
+    for start, (kind, action) in _OTHER_FORMATS.items():
+        if data[:20].lstrip().lower().startswith(start.lower()):
+            expected = "a text file with a SPICE netlist"
+            raise UsageError(f"this file is {kind}", where=where, expected=expected, hint=action)
+    if b"\0" in data[:200]:
+        raise make_encoding_error(data, where)
+
+
+def _is_missing(path: Path) -> bool:
+    """Return whether no file ``path`` exists; False for names that no file can have."""
+    try:
+        return not path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def make_missing_netlist_error(path: Path) -> UsageError:
+    """Return the error for the missing netlist file ``path`` of a part."""
+    try:
+        names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
+    except OSError:
+        names = []
+    near = did_you_mean(path.name, [name for name in names if not name.endswith(".toml")])
+    return UsageError(
+        "this netlist file does not exist",
+        where=path.name,
+        expected="a file of subcircuits in the folder of the scene",
+        hint=near or f"copy {path.name} into the folder {path.resolve().parent}",
+    )
+
+
 def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
     """Return the error for a forbidden line ``text`` at ``where`` in the circuit ``path``."""
+    library = re.fullmatch(r"(?i)\s*\.lib\s+\"?([\w.+-]+)\"?\s*", text)
+    read = "read the file; if you trust every line, repeat the command with --trust"
+    hint = f"write  .include {library[1]}" if library else read
     return UsageError(
         f"the included circuit {reason}",
         where=f"{path} ({where})" if where not in str(path) else str(path),
         got=text[:120],
         expected="subcircuits, models, parameters and elements only",
-        hint="read the file; if you trust every line, repeat the command with --trust",
+        hint=hint,
     )
 
 
@@ -235,6 +309,9 @@ ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".pz", ".se
 _OUTPUT_COMMANDS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure", ".width"))
 # fmt: on
 _FUNCTION_LINE = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+[A-Za-z]*")
+_ASSIGNED_COMMA = re.compile(r"=\s*([+-]?\d+,\d+[A-Za-z]*)(?=[\s)]|$)")
+_LAPLACE_LAW = re.compile(r"(?i)(?<![\w.])laplace\s*[={(]")
 _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and functions"
 
 
@@ -264,6 +341,13 @@ def _find_deck_effects(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield each effect of a card on the whole deck, with the expected content and a remedy."""
     key, options = card.keyword, accuracy_options((card,))
+    if number := _find_decimal_comma(card):
+        hint = f"write {number.replace(',', '.')} in place of {number}"
+        yield f"has a comma in the number {number}", "a number with a decimal point", hint
+    if key[:1] in ("e", "g", "b", "f", "h") and _LAPLACE_LAW.search(card.written):
+        what = "has a Laplace transform, which ngspice cannot simulate"
+        hint = "replace this source by R, L, C, E and G elements with the same transfer function"
+        yield what, "elements of ngspice", hint
     if part and key in ANALYSES | _OUTPUT_COMMANDS:
         what = "contains an analysis" if key in ANALYSES else "contains an output command"
         yield (
@@ -295,6 +379,21 @@ def _find_deck_effects(
     if outside and again:
         hint = "rename it, or put it into the .subckt that uses it"
         yield "defines a built-in name for the whole deck", "a name of its own", hint
+
+
+def _find_decimal_comma(card: Statement) -> str:
+    """Return a number with a decimal comma on a card; ``""`` if the card has none.
+
+    The simulator reads such a number as two numbers.
+    """
+    key = card.keyword
+    if key in (".param", ".params", ".model") or key.startswith("x"):
+        assigned = _ASSIGNED_COMMA.search(card.written)
+        return assigned[1] if assigned else ""
+    if key[:1] not in ("r", "c", "l", "v", "i"):
+        return ""
+    words = [word for word in card.words[3:] if word.lower() not in ("dc", "ac")]
+    return words[0] if words and _DECIMAL_COMMA.fullmatch(words[0]) else ""
 
 
 def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
@@ -330,6 +429,20 @@ ALLOWED_OPTIONS = frozenset((
     "post", "probe", "ramptime", "reltol", "rseries", "rshunt", "savecurrents", "scale", "seed",
     "sparse", "srcsteps", "temp", "tnom", "trtol", "trytocompact", "vntol", "warn", "xmu",
 ))
+# Commands of ngspice that run programs or open files.
+_TRUSTED_COMMANDS = frozenset((".control", ".endc", ".exec", ".lib", ".include", ".inc",
+                               ".codemodel", ".spiceinit", ".endl"))
+# Commands of LTspice, and the action in place of each.
+_LTSPICE_COMMANDS = {
+    ".backanno": "delete this line, which affects only the display of LTspice",
+    ".wave": "delete this line, and set a probe in the scene",
+    ".step": "delete this line, and vary the value by kc2spice sweep",
+    ".machine": "delete this line, and write B sources in place of the state machine",
+    ".savebias": "delete this line",
+    ".loadbias": "delete this line",
+    ".ferret": "delete this line",
+    ".net": "delete this line",
+}
 _ALLOWED_ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
 _SHELL_WORDS = frozenset((
     "shell", "system", "codemodel", "source", "load", "exec", "alias", "osdi", "write", "wrdata",
@@ -371,6 +484,7 @@ def read_checked_circuit(
             quotation = repr(text) if _HIDDEN_CHARACTERS.search(text) else text
             raise make_forbidden_line_error(reason, path, line.where, quotation)
     for card in result.cards():
+        _require_known_command(card)
         for reason in _find_card_faults(card):
             raise make_forbidden_line_error(reason, path, card.where, card.written)
     return result
@@ -394,6 +508,8 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
             "its name",
             hint="copy the netlist to the scene's folder, or repeat the command with --trust",
         )
+    if _is_missing(home / name):
+        raise make_missing_netlist_error(home / name)
     result = read_checked_circuit(home / name, trust=trust, home=home)
     check_deck_effects(result.cards(), part=True)
     return result
@@ -409,6 +525,8 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
     UsageError : see :func:`read_included_netlist`; lines that could execute programs are accepted.
     """
     path = home / name
+    if _is_missing(path):
+        raise make_missing_netlist_error(path)
     result = flatten_includes(
         path, path.parent if home == Path() else home, trust=True, inside=True
     )
@@ -430,6 +548,26 @@ def _find_line_faults(text: str) -> Iterator[str]:
         yield "has blanks that the simulator does not take for any"
     if "`" in text:
         yield "has a back quote, which runs a program"
+
+
+def _require_known_command(card: Statement) -> None:
+    """Reject commands that are misspelt or that belong to LTspice.
+
+    Other unknown commands could run programs, and are reported as such.
+
+    Raises
+    ------
+    UsageError : the command is misspelt or belongs to LTspice.
+    """
+    key = card.keyword
+    if not key.startswith(".") or key in ALLOWED_COMMANDS | ANALYSES | _TRUSTED_COMMANDS:
+        return
+    hint = _LTSPICE_COMMANDS.get(key)
+    if hint is None and (near := did_you_mean(key, sorted(ALLOWED_COMMANDS))):
+        hint = near
+    if hint is not None:
+        expected = f"one of {list_candidates(key, sorted(ALLOWED_COMMANDS))}"
+        raise card.error(f"ngspice has no command {key}", card.written[:120], expected, hint)
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:

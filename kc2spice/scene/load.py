@@ -39,6 +39,7 @@ from kc2spice.scene.start_conditions import find_start_errors
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
 _GRAMMAR_KEYS = ("part", "pins")  # keys that every table of a part may contain
+_LINE = re.compile(r"[^.]:\d+$")  # end of the position of a line, such as amp.lib:4
 
 
 def load_scene(
@@ -111,9 +112,10 @@ def load_scene(
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # an absolute path is the path of a file, and no key
-        if problem.where is not None and not Path(problem.where).is_absolute():
-            problem.where = source.where(problem.where)
+        # an absolute path or the line of a netlist is a place in a file, and no key
+        where = problem.where
+        if where is not None and not Path(where).is_absolute() and not _LINE.search(where):
+            problem.where = source.where(where)
         raise
 
 

@@ -107,7 +107,8 @@ def test_damaged_scenes_are_refused_with_key_or_line(chunk, cli, tmp_path, monke
             refused(
                 done,
                 r"(?s)scene\.toml.*(line \d+|key \S+|at end of document|UTF-8)|did you mean"
-                r"|\.lib: this file does not exist",  # the folder contains the scene alone
+                r"|\.lib: this file does not exist"  # the folder contains the scene alone
+                r"|scene\.toml: the scene has no parts",
             )
             bad += 1
         assert set(files(tmp_path)) == {tmp_path / "scene.toml"}

@@ -287,7 +287,13 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     ------
     UsageError : the file cannot be read or does not contain the subcircuit.
     """
-    known = _read_subcircuits(part.keys.file, scene.home, _modification_time(part, scene)).pins
+    file = part.keys.file
+    try:
+        known = _read_subcircuits(file, scene.home, _modification_time(part, scene)).pins
+    except UsageError as error:
+        if error.where == Path(file).name:  # the whole file, not one of its lines
+            error.where, error.got = f"{part.name}.file", error.got or repr(file)
+        raise
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise part.wrong(
