@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
@@ -40,7 +40,7 @@ SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
 
 KeyPath = tuple[str | int, ...]
 # Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
-_UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
+_UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
 
 
 def describe_invalid(
@@ -58,6 +58,7 @@ def describe_invalid(
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
+    result = _select_union_member(every, result, table)
     missing = [str(item["loc"][-1]) for item in every if item["type"] == "missing"
                and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
@@ -68,11 +69,46 @@ def describe_invalid(
         path, typed = (*path, *below), _find_typed_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _explain_invalid(result, schema, full_path, also, missing)
+    if kind == "missing" and path and isinstance(path[-1], int):  # an entry of a list
+        full_path, typed = full_path[:-1], _find_typed_value(table, path[:-1], ())
+        message, expected, hint = _explain_short_list(full_path, typed, len(missing))
+        return full_path, {
+            "message": message, "got": display_text(typed), "expected": expected, "hint": hint
+        }  # fmt: skip
     # if two keys contradict each other, the message contains the reason, and no value is quoted
     reason_only = kind == "value_error" or (kind == "quantity" and expected is None)
     contradicts = reason_only and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
+
+
+def _select_union_member(
+    every: Sequence[ErrorDetails], first: ErrorDetails, table: object
+) -> ErrorDetails:
+    """Return the error of the type that is most similar to the value, if there are several types.
+
+    A text is compared with choices, a list with lists and a table with tables.
+    """
+    place = next((k for k, step in enumerate(first["loc"]) if _is_union_member(step)), None)
+    if place is None:
+        return first
+    stem = first["loc"][:place]
+    typed = _find_typed_value(table, stem, None)
+    for item in every:
+        if item["loc"][:place] == stem and len(item["loc"]) > place:
+            member = str(item["loc"][place])
+            if isinstance(typed, str) and member.startswith("literal"):
+                return item
+            if isinstance(typed, (list, tuple)) and member.startswith(("tuple", "list")):
+                return item
+            if isinstance(typed, Mapping) and re.search(r"Keys\]?$", member):
+                return item
+    return first
+
+
+def _is_union_member(step: str | int) -> bool:
+    """Return whether a step of a pydantic path names a type instead of a key."""
+    return bool(_UNION_MEMBER.search(str(step)))
 
 
 def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
@@ -150,10 +186,15 @@ def _explain_invalid(
             if (meaning := _CHOICE_SYNONYMS.get(_plain_word(word))) in choices:
                 near = f'write  {full_path[-1]} = "{meaning}"'
             listed = list_candidates(details["input"], choices, _help_command(schema))
-            near = near or f'for example  {full_path[-1]} = "{choices[0]}"'
+            vector = _AXIS_VECTORS.get(_plain_word(word))
+            # a choice or a vector
+            if vector and any(_is_union_member(step) for step in path) and "x" not in choices:
+                vector = vector.replace("1", "-1") if word.strip().startswith("-") else vector
+                near = f"write  {full_path[-1]} = {vector}"
+            near = near or f"for example  {_assign(full_path, _quote(choices[0]))}"
             return "this value is not one of the choices", f"one of {listed}", near
         case "float_type" | "float_parsing":
-            return "not a number", "a number", f"for example  {full_path[-1]} = 1.0"
+            return "not a number", "a number", f"write for example  {_assign(full_path, '1.0')}"
         case "string_type":
             return "not a text", "a text in quotes", f'for example  {full_path[-1]} = "NAME"'
         case "int_type":
@@ -163,12 +204,12 @@ def _explain_invalid(
             return (
                 "a list, not tables by name",
                 f"[{join_path(full_path)}.NAME] for each of them",
-                None,
+                f"write  {full_path[-1]} = {{ NAME = … }}  with a name for each entry",
             )
         case "model_type" | "dict_type":
             entry = not full_path or isinstance(full_path[-1], int)  # the value is a list entry
-            table = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
-            hint = f"write a table {table} with its keys"
+            form = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
+            hint = f"write a table {form} with its keys"
             text_key = _find_choice_key(schema, path, details["input"])
             if text_key is not None and len(full_path) == 1:
                 hint = f'write  [{full_path[0]}]  and below it  {text_key} = "{details["input"]}"'
@@ -179,7 +220,7 @@ def _explain_invalid(
                 elif key := _find_value_key(schema, path, details["input"]):
                     value = _format_toml(details["input"])
                     hint = f"write  {full_path[-1]} = {{ {key} = {value} }}"
-            return "not a table", f"a table, {table}", hint
+            return "not a table", f"a table, {form}", hint
         case "tuple_type" | "list_type":
             entered = details["input"]
             keys = (
@@ -188,10 +229,15 @@ def _explain_invalid(
             one = (
                 " … " if keys is None else f"{{ {keys} }}"
             )  # the user wrote a table, but the schema requires a list of tables
-            hint = f"write  {full_path[-1]} = [{one}]" if keys is None else (
+            example = f"[{one}]"
+            if isinstance(entered, str) and entered in _AXIS_VECTORS:
+                example = _AXIS_VECTORS[entered]
+            elif isinstance(entered, str) and isinstance(full_path[-1], str):
+                example = f'["{entered}"]'
+            hint = f"write  {_assign(full_path, example)}" if keys is None else (
                 f"write one table for each entry:  {full_path[-1]} = [{_format_toml(entered)}]"
             )  # fmt: skip
-            return "not a list", f"a list, {full_path[-1]} = [{one}]", hint
+            return "not a list", f"a list, {_assign(full_path, f'[{one}]')}", hint
         case "too_short" | "too_long" as kind:
             too_short = kind == "too_short"
             count = context["min_length" if too_short else "max_length"]
@@ -199,7 +245,7 @@ def _explain_invalid(
             return (
                 f"too {'few' if too_short else 'many'} entries",
                 f"a list of at {bound}",
-                None,
+                _advise_length(full_path, details["input"], count, too_short),
             )
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -210,6 +256,42 @@ def _explain_invalid(
         case "value_error":
             return str(context["error"]), None, None
     return details["msg"], context.get("expected"), None
+
+
+def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str, str, str]:
+    """Return message, expectation and hint for a list that lacks its last entries."""
+    entries = list(typed) if isinstance(typed, (list, tuple)) else []
+    numeric = all(isinstance(item, (int, float)) for item in entries)
+    count, pad = len(entries) + lacking, 0 if numeric else "VALUE"
+    added = [pad] * lacking
+    # a band begins at 0 Hz, other lists end with the missing entries
+    completed = [*added, *entries] if path[-1] == "band" else [*entries, *added]
+    full = _format_entries(completed).replace('"VALUE"', "VALUE")
+    return "too few entries", f"a list of {count} entries", f"write  {_assign(path, full)}"
+
+
+def _format_entries(entries: Iterable[object]) -> str:
+    """Format a list as in a scene file."""
+    return _format_toml(list(entries)).replace("'", '"')
+
+
+def _assign(path: KeyPath, value: str) -> str:
+    """Return the text that gives the key at ``path`` a value.
+
+    >>> _assign(("u", "axis"), "[0, 0, 1]")
+    'axis = [0, 0, 1]'
+    >>> _assign(("u", "axis", 2), "1.0")
+    '1.0  as entry 3 of axis'
+    """
+    last = path[-1]
+    if not isinstance(last, int):
+        return f"{last} = {value}"
+    names = [step for step in path if not isinstance(step, int)]
+    return f"{value}  as entry {last + 1} of {names[-1]}"
+
+
+# Directions of coordinate axes as lists.
+_AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
 
 
 def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
@@ -461,11 +543,33 @@ def _help_command(schema: type[BaseModel]) -> str | None:
     return getattr(schema, "help_command", None)
 
 
+def _quote(text: str) -> str:
+    return f'"{text}"'
+
+
+def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) -> str:
+    """Advise how to give a list an accepted number of entries."""
+    if too_short or not isinstance(entries, (list, tuple)):
+        word = "entry" if count == 1 else "entries"
+        return f"add entries, so that the list has at least {count} {word}"
+    shorter = _format_entries(entries[:count])
+    if len(shorter) > 60:
+        return f"delete {len(entries) - count} of the {len(entries)} entries"
+    return f"write for example  {_assign(path, shorter)}"
+
+
+def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
+    """Return the first section class inside of an annotation, at any depth."""
+    found = find_section(annotation)
+    inner = map(_find_inner_section, get_args(annotation)) if found is None else ()
+    return found or next(filter(None, inner), None)
+
+
 def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
     """Return the innermost schema that contains ``path``."""
     for step in path[:-1]:
         if step in schema.model_fields:
-            schema = find_section(schema.model_fields[str(step)].annotation) or schema
+            schema = _find_inner_section(schema.model_fields[str(step)].annotation) or schema
     return schema
 
 
@@ -868,8 +972,12 @@ FluxDensity = Annotated[float, si("T")]
 Resistivity = Annotated[float, si("Ohm m")]
 Rate = Annotated[float, si("1/s")]
 Resistance = Annotated[float, si("Ohm")]
-Capacitance = Annotated[float, si("F")]
-Inductance = Annotated[float, si("H")]
+PLAUSIBLE_CAPACITANCE = Plausible(
+    "F", 1e-21, 1e5, "the largest capacitors have thousands of farads"
+)
+PLAUSIBLE_INDUCTANCE = Plausible("H", 1e-15, 1e5, "the largest coils have thousands of henries")
+Capacitance = Annotated[float, si("F"), PLAUSIBLE_CAPACITANCE]
+Inductance = Annotated[float, si("H"), PLAUSIBLE_INDUCTANCE]
 PLAUSIBLE_MASS = Plausible(
     "kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton"
 )

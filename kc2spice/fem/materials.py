@@ -476,6 +476,7 @@ class MaterialTable(Section):
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
+        _require_possible_density(self.density, largest)
         return (C + C.T) / 2
 
     def _compute_engineering_compliance(self) -> np.ndarray:
@@ -581,6 +582,29 @@ def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) ->
         expected = "equal entries on both sides of the diagonal"
         raise UsageError("this matrix is not symmetric", where=key, got=rows, expected=expected)
     return matrix
+
+
+MAX_SOLID_DENSITY = 22_600.0  # kg/m3, osmium
+MAX_WAVE_SPEED = 30e3  # m/s; diamond has 18 km/s
+
+
+def _require_possible_density(density: float, stiffness: float) -> None:
+    """Reject a density in a wrong unit: of a heavier solid, or with too fast waves.
+
+    The speed of waves is the root of ``stiffness / density``.
+    """
+    speed = float(np.sqrt(stiffness / density))
+    if density > MAX_SOLID_DENSITY:
+        problem, limit = "this density is higher than of any solid", MAX_SOLID_DENSITY
+        expected, factor = f"at most {limit:g} kg/m3", 1e-3
+    elif speed > MAX_WAVE_SPEED:
+        problem = f"with this density, waves in the material have {speed / 1e3:.3g} km/s"
+        expected, factor = f"at least {stiffness / MAX_WAVE_SPEED**2:.3g} kg/m3", 1e3
+    else:
+        return
+    hint = f'write  density = "{factor * density:g} kg/m3"  if the value is in '
+    hint += "g/cm3" if factor > 1 else "g/m3"
+    raise wrong("density", problem, f"{density:g} kg/m3", expected, hint)
 
 
 def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:

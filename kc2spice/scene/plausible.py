@@ -29,6 +29,7 @@ BREAKDOWN_RATIO = 10.0
 # a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
 LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage, below which the check warns
+_MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
@@ -42,7 +43,12 @@ def check_range(
         if high < value < MISTAKEN_UNIT_RATIO * high:
             fitting = None  # the value is only slightly too large, so that its unit is not wrong
         limit = high if value > high else low
-        advice = f"{'lower' if value > high else 'raise'} it to {format_quantity(limit, unit)}"
+        micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
+        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # a large M in place of u
+            fitting = None
+            advice = f'write  "{micro}"  if you mean micro, not mega'
+        else:
+            advice = f"{'lower' if value > high else 'raise'} it to {format_quantity(limit, unit)}"
         yield ImplausibleError(
             f"this value is not plausible: {why}",
             where=where,

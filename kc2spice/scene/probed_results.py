@@ -10,11 +10,11 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from kc2spice.core.domains import ACOUSTIC
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, unknown
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
-from kc2spice.scene.results import collect_results
+from kc2spice.scene.results import collect_results, find_noise_output
 
 
 def require_probed_results(build: Build) -> None:
@@ -29,12 +29,14 @@ def require_probed_results(build: Build) -> None:
         results.
     """
     scene = build.scene
-    if not scene.probes or build.has_noise:
-        return
     waiting = set()
     for name, part in scene.parts.items():
         if part.type.results_of_model and build.models.get(name) is None:
             waiting.add(name)
+    if build.has_noise:
+        _require_noise_output(build, waiting)
+    if not scene.probes or build.has_noise:
+        return
     results = build.results
     if not build.records:
         unbuilt = with_vectors(build, without=waiting)
@@ -58,6 +60,19 @@ def require_probed_results(build: Build) -> None:
             )
 
 
+def _require_noise_output(build: Build, waiting: Collection[str]) -> None:
+    """Raise an error for an unknown output of a noise analysis.
+
+    The output of a part whose model is missing is not checked.
+    """
+    name, where = str(build.scene.analysis.output), build.scene.where("analysis.output")
+    owner, parts = name.partition(".")[0], build.scene.parts
+    if owner not in parts:
+        raise _make_unknown_part_error(name, parts, where)
+    if build.noise_output is None and owner not in waiting:
+        find_noise_output(with_vectors(build, without=waiting))
+
+
 def list_all_results(scene: Scene) -> list[str]:
     """List the results that probes of a scene may read, except results of its models."""
     waiting = {name for name, part in scene.parts.items() if part.type.results_of_model}
@@ -74,7 +89,17 @@ def _make_unknown_result_error(
         choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
         return unknown("the scene has no such result", name, choices, where, advice=suggestion)
-    return unknown(f"this scene has no part {owner!r}", name, parts, where)
+    return _make_unknown_part_error(name, parts, where)
+
+
+def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> UsageError:
+    """Return the error of a result ``name`` of a part that the scene lacks."""
+    owner, dot, result = name.partition(".")
+    near = did_you_mean(owner, parts)
+    advice = near and near.replace("'?", f"{dot}{result}'?")
+    error = unknown(f"this scene has no part {owner!r}", name, parts, where)
+    error.hint = advice or error.hint
+    return error
 
 
 def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:

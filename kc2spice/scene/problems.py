@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import chain
 from math import inf
 from operator import attrgetter
 
@@ -11,7 +12,11 @@ from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plausible import ImplausibleError, apply_check_action
+from kc2spice.scene.plausible import (
+    ImplausibleError,
+    apply_check_action,
+    check_dimensions,
+)
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
 from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, Probe
 
@@ -50,7 +55,8 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
     """Yield the errors of parts; errors about implausible values are last."""
     implausible = []
     for part in scene.parts.values():
-        for problem in part.type.problems(part, scene):
+        implausible_keys = check_dimensions(part.name, part.keys)
+        for problem in chain(implausible_keys, part.type.problems(part, scene)):
             if isinstance(problem, ImplausibleError):
                 implausible.append(problem)
             else:

@@ -51,7 +51,10 @@ def find_noise_output(build: Build) -> Vector | None:
             voltages[item] = result
     if name not in voltages:
         message = "the output of a noise analysis is not a voltage or a displacement"
-        raise unknown(message, name, voltages, build.scene.where("analysis.output"))
+        owner = name.partition(".")[0]
+        own = [item for item in voltages if item.startswith(f"{owner}.")]
+        advice = f'write  output = "{own[0]}"' if own else None
+        raise unknown(message, name, voltages, build.scene.where("analysis.output"), advice=advice)
     return voltages[name]
 
 

@@ -81,7 +81,7 @@ MISTAKES = [
     ("catch.ring.y=1 mm", []),  # ring magnet and coil side by side are fine
     ("control.current_limit=0", ["out of range"]),
     ("rom.band=[5, 2]", ["the frequency band is empty"]),
-    ("rom.band=[5]", ["rom.band[1] is missing"]),
+    ("rom.band=[5]", ["too few entries", "write  band = [0, 5]"]),
     ("rom={order=3, tolerance=1e-4}", ["both set"]),
     ("rom.order=0", ["out of range"]),
     ("solver.max_step=1", ["longer than the simulation"]),

@@ -39,7 +39,6 @@ from kc2spice.rom.parametric import DampingParameter, ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.scene.model import GovernedScene, Part, Scene
-from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
@@ -97,7 +96,6 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of the keys of the part."""
-        yield from check_dimensions(part.name, part.keys)
         yield from check_corners(part, scene)
 
     def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, invalid_value_error, quantity
+from kc2spice.core.quantities import Section, clip_text, invalid_value_error, quantity
 from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
@@ -120,6 +120,29 @@ class SourceKeys(Section):
     _waveform: Waveform = PrivateAttr()
     _amplitude: float = PrivateAttr()
 
+    @field_validator("pwl", mode="before")
+    @classmethod
+    def _require_corners(cls, rows: object) -> object:
+        expected = "a list of corners, [[TIME, VALUE], [TIME, VALUE], …]"
+        hint = 'write for example  pwl = [[0, 0], ["1 ms", 1]]'
+        if rows is None:
+            return rows
+        if not isinstance(rows, (list, tuple)):
+            raise invalid_value_error("the corners are not a list", expected, hint=hint)
+        plain = [row for row in rows if not isinstance(row, (list, tuple))]
+        if plain and len(plain) == len(rows):
+            if len(rows) % 2 == 0:
+                pairs = map(list, zip(rows[::2], rows[1::2], strict=True))
+                hint = f"write  pwl = {clip_text(_format_corners(pairs))}"
+            raise invalid_value_error("the corners are not lists of two", expected, hint=hint)
+        for row in rows:
+            if isinstance(row, (list, tuple)) and len(row) > 2:
+                short = _format_corners([row[:2]])[1:-1]
+                hint = f"write  {short}  in place of  {_format_corners([row])[1:-1]}"
+                problem = f"a corner has {len(row)} entries"
+                raise invalid_value_error(problem, expected, hint=hint)
+        return rows
+
     @model_validator(mode="after")
     def _require_one_waveform(self, info: ValidationInfo) -> SourceKeys:
         shapes = self._stated_waveform_keys
@@ -149,6 +172,11 @@ class SourceKeys(Section):
     def unit(self) -> str:
         """SI unit of the values of the source."""
         return SOURCE_TYPES[self.kind].unit
+
+    @property
+    def is_zero_over_time(self) -> bool:
+        """Whether the source has no waveform."""
+        return not self._stated_waveform_keys
 
     @property
     def waveform(self) -> Waveform:
@@ -382,6 +410,19 @@ def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
             yield Numerics(
                 f"edges of {name}, {moving.min():g} s", highest_frequency=EDGE_FACTOR / moving.min()
             )
+
+
+def _format_corners(corners: Iterable[Sequence[object]]) -> str:
+    """Format the corners of a waveform as in a scene file.
+
+    >>> _format_corners([[0, 0], ["1 ms", 5]])
+    '[[0, 0], ["1 ms", 5]]'
+    """
+    rows = []
+    for corner in corners:
+        entries = (f'"{item}"' if isinstance(item, str) else f"{item}" for item in corner)
+        rows.append(f"[{', '.join(entries)}]")
+    return f"[{', '.join(rows)}]"
 
 
 def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:

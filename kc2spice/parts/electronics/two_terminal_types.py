@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, create_model
 
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import Section, si
+from kc2spice.core.quantities import Capacitance, Inductance, Section, si
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.netlist.library import Header, Subcircuit
@@ -101,11 +101,16 @@ TABLE = (
 )  # fmt: skip
 
 
+# Types of keys with a plausible range, by their unit.
+_TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": Inductance}
+
+
 def declare_element(row: ElementRow) -> Declaration:
     """Declare the element of a row, with its key, an example and its equations."""
     noun = row.name.replace("_", " ")
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
-    fields: dict[str, Any] = {row.key: (Annotated[float, si(row.unit)], value)}
+    number = _TYPES_OF_UNITS.get(row.unit, Annotated[float, si(row.unit)])
+    fields: dict[str, Any] = {row.key: (number, value)}
     words = f"{row.name.title().replace('_', '')}Keys"
     base: type[Section] = ConductorKeys if "conductors" in row.stated else Section
     keys = create_model(words, __base__=base, __module__=__name__, **fields)

@@ -28,7 +28,6 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.part_records import EquilibriumConditions, FrameShake
 from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
@@ -141,7 +140,6 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             problem = "position and velocity of a mass need a transient analysis"
             got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'
             yield part.wrong("", problem, got, expected, "delete position and velocity")
-        yield from check_dimensions(part.name, part.keys)
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
         """Return the initial displacement and velocity of the mass."""

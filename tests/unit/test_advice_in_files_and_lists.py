@@ -1,0 +1,239 @@
+"""Mistakes in netlists, lists and magnitudes whose advice is followed: the input then runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+from support import Clock, build_models, material, parse_toml
+
+import kc2spice as kc
+
+AMPLIFIER = "* amp\n.subckt amp in out ref\nR1 in out 1k\nR2 out ref 1k\n.ends\n"
+SCENE = """[drive]
+part = "source"
+ac = "1 V"
+pins = { out = "amp.in" }
+[amp]
+part = "netlist"
+file = "amp.lib"
+subckt = "amp"
+pins = { out = "load.a" }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[analysis]
+type = "ac"
+stop = "10 kHz"
+"""
+CHARGED = """[s]
+part = "source"
+pwl = [[0, 0], ["1 ms", 5]]
+pins = { out = "c.a" }
+[c]
+part = "capacitor"
+capacitance = "1 uF"
+[analysis]
+type = "transient"
+stop = "1 ms"
+"""
+
+
+def rows_of_error(text):
+    """First line of a message, and the rows below it by their names."""
+    text = text[text.index("kc2spice: error") :]
+    head, *below = text.splitlines()
+    pairs = (line.strip().partition(":") for line in below)
+    return {"head": head} | {name: value.strip() for name, _, value in pairs}
+
+
+@pytest.fixture
+def refusal(cli):
+    """Run ``own.toml`` beside ``amp.lib``; the rows of the error, which leaves no files."""
+
+    def run(scene=SCENE, amplifier=AMPLIFIER):
+        Path("own.toml").write_text(scene)
+        data = amplifier if isinstance(amplifier, bytes) else amplifier.encode()
+        Path("amp.lib").write_bytes(data)
+        before = set(Path().iterdir())
+        done = cli("run", "own.toml")
+        assert done.exit_code == 2
+        assert set(Path().iterdir()) == before
+        return rows_of_error(done.stderr)
+
+    return run
+
+
+@pytest.mark.parametrize("law", [
+    "Laplace=1/(1+0.001*s)", "LAPLACE {V(in)} = {1/(1+s)}", "laplace=1/(1+s)",
+])  # fmt: skip
+@pytest.mark.parametrize("source", ["E1 x ref in ref", "B1 x ref V=V(in)", "G1 x ref"])
+def test_a_laplace_transform_is_rejected_before_the_simulation(refusal, source, law):
+    found = refusal(amplifier=AMPLIFIER.replace("R2", f"{source} {law}\nR2"))
+    assert found["head"].endswith("amp.lib:4: the netlist has a Laplace transform, which ngspice "
+                                  "cannot simulate")  # fmt: skip
+    assert found["next"].startswith("replace this source by R, L, C, E and G elements")
+
+
+@pytest.mark.parametrize(
+    ("line", "number", "advice"),
+    [
+        ("R3 out ref 1,5k", "1,5k", "1.5k"),
+        ("V3 n ref DC 0,5", "0,5", "0.5"),
+        (".param gain=2,5", "2,5", "2.5"),
+        (".model DX D(IS=1e-14 N=1,8)", "1,8", "1.8"),
+    ],
+)
+def test_a_decimal_comma_of_a_netlist(cli, refusal, line, number, advice):
+    """ngspice reads 1,5k as 1 Ohm, without a warning."""
+    found = refusal(amplifier=AMPLIFIER.replace("R2", f"R4 n ref 1k\n{line}\nR2", 1))
+    assert found["head"].endswith(f"the netlist has a comma in the number {number}")
+    assert found["next"] == f"write {advice} in place of {number}"
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["V3 n ref PWL 0,0 1m,5", "V3 n ref PULSE(0,5 0 1n)", "E3 n ref POLY(1) (in,ref) 0 1",
+     "B3 n ref V=max(1,5)", ".model DX D(IS=1e-14,N=2)"],
+)  # fmt: skip
+def test_commas_that_separate_numbers_are_accepted(cli, line):
+    Path("own.toml").write_text(SCENE)
+    Path("amp.lib").write_text(AMPLIFIER.replace("R2", f"R4 n ref 1k\n{line}\nR2", 1))
+    kc.load_scene("own.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "head", "advice"),
+    [
+        (b"%PDF-1.7\n%\xe2\xe3", "a PDF document", "the SPICE model (.lib or .cir)"),
+        (b"PK\x03\x04\x14", "an archive", "unpack it"),
+        (b"Version 4\nSHEET 1 880 680\n", "a schematic of LTspice", "View > SPICE Netlist"),
+        (b"<!DOCTYPE html>\n<html>", "a web page", "download the netlist itself"),
+        (AMPLIFIER.encode("utf-16"), "not encoded in UTF-8", "with the encoding UTF-8"),
+    ],
+)
+def test_a_file_of_another_program_as_netlist(refusal, content, head, advice):
+    found = refusal(amplifier=content)
+    assert "own.toml, line 7, key amp.file" in found["head"]
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+def test_a_missing_netlist_of_a_part(cli, refusal):
+    found = refusal(SCENE.replace("amp.lib", "ampl.lib"))
+    assert found["got"] == "'ampl.lib'"
+    name = re.fullmatch(r"did you mean '(.*)'\?", found["next"])[1]
+    kc.load_scene(write_scene(SCENE.replace("amp.lib", name)))
+    found = refusal(SCENE.replace("amp.lib", "opa2134.mod"))
+    assert found["next"] == f"copy opa2134.mod into the folder {Path.cwd()}"
+
+
+def write_scene(text):
+    Path("right.toml").write_text(text)
+    return "right.toml"
+
+
+@pytest.mark.parametrize(
+    ("line", "advice"),
+    [
+        (".paramm a=1", "did you mean '.param'?"),
+        (".backanno", "delete this line"),
+        (".step param R 1 2 1", "delete this line, and vary the value by kc2spice sweep"),
+        (".lib other.lib", "write  .include other.lib"),
+    ],
+)
+def test_a_misspelt_or_foreign_command_does_not_advise_trust(refusal, line, advice):
+    found = refusal(amplifier=f"{AMPLIFIER}{line}\n")
+    assert advice in found["next"]
+    assert "--trust" not in found["next"]
+
+
+def test_a_misspelt_analysis_of_a_deck(cli):
+    cli("export", "duffing", "--out", "d")
+    deck = Path("d/duffing.cir")
+    deck.write_text(deck.read_text().replace("\n.tran ", "\n.trn "))
+    found = rows_of_error(cli("run", "duffing", "--deck", "d/duffing.cir").stderr)
+    assert found["next"] == "did you mean '.tran'?"
+
+
+@pytest.mark.parametrize(
+    ("rows", "head", "advice"),
+    [
+        ('[0, 0, "1 ms", 5]', "not lists of two", 'write  pwl = [[0, 0], ["1 ms", 5]]'),
+        ('["0 s", "0 V", "1 ms", "5 V"]', "not lists of two",
+         'write  pwl = [["0 s", "0 V"], ["1 ms", "5 V"]]'),
+        ('"0 0 1m 5"', "not a list", 'write for example  pwl = [[0, 0], ["1 ms", 1]]'),
+    ],
+)  # fmt: skip
+def test_corners_that_are_not_pairs(refusal, rows, head, advice):
+    found = refusal(CHARGED.replace('[[0, 0], ["1 ms", 5]]', rows))
+    assert head in found["head"]
+    assert found["next"] == advice
+    corners = advice[advice.index("[") :]
+    kc.load_scene(write_scene(CHARGED.replace('[[0, 0], ["1 ms", 5]]', corners)))
+
+
+def test_a_corner_of_three_numbers(refusal):
+    found = refusal(CHARGED.replace("[0, 0]", "[0, 0, 7]"))
+    assert found["next"] == "write  [0, 0]  in place of  [0, 0, 7]"
+
+
+@pytest.mark.parametrize(
+    ("poling", "advice"),
+    [
+        ("[0, 1]", "write  pzt = [0, 1, 0]"),
+        ("[0, 0, 1, 0]", "write for example  pzt = [0, 0, 1]"),
+        ('"z"', "write  pzt = [0, 0, 1]"),
+        ('"-z"', "write  pzt = [0, 0, -1]"),
+        ('"radia"', "did you mean 'radial'?"),
+        ("{ direction = [0, 1] }", "write  direction = [0, 1, 0]"),
+    ],
+)
+def test_a_poling_that_is_no_vector(poling, advice):
+    body = {"part": "body", "mesh": "u.msh", "unit": "mm", "materials": {"pzt": "PZT-5A"}}
+    table = parse_toml(f"poling = {{ pzt = {poling} }}")
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene({"u": body | table})
+    assert caught.value.hint == advice
+
+
+@pytest.mark.parametrize(
+    ("output", "advice"),
+    [("dsc.voltage", "did you mean 'disc.voltage'?"), ("load.x", 'write  output = "load.v"')],
+)
+def test_an_unknown_output_of_a_noise_analysis_precedes_the_models(output, advice, monkeypatch):
+    scene = kc.load_scene("buzzer_noise", [f"analysis.output={output}"])
+    monkeypatch.setattr(type(scene.part("disc").type), "build", lambda *_: pytest.fail("built"))
+    with pytest.raises(kc.errors.UsageError) as caught:
+        build_models(scene, Clock())
+    assert caught.value.hint == advice
+
+
+@pytest.mark.parametrize(
+    ("value", "advice"), [("100 MF", '"100 uF"'), ("3e6", "micro, not mega"), ("2e5", "100 kF")]
+)
+def test_an_implausible_capacitance(refusal, value, advice):
+    value = value if value[-1].isdigit() else f'"{value}"'
+    found = refusal(CHARGED.replace('"1 uF"', value))
+    assert "not plausible: the largest capacitors" in found["head"]
+    assert advice in found["next"]
+
+
+def test_a_density_in_another_unit():
+    """Waves have the speed sqrt(c11 / density): 17.5 km/s in diamond, 124 km/s here."""
+    ceramic = {"youngs_modulus": "60 GPa", "poisson_ratio": 0.3}
+    for density in (7.75, 7.75e6):
+        with pytest.raises(kc.errors.UsageError) as caught:
+            material(ceramic | {"density": density})
+        advised = re.match(r'write  density = "(.*)"  if', caught.value.hint)[1]
+        assert material(ceramic | {"density": advised}).density == 7750
+    diamond = {"youngs_modulus": "1143 GPa", "poisson_ratio": 0.07, "density": 3515}
+    assert material(diamond).density == 3515
+
+
+def test_a_source_of_small_signals_without_an_analysis(cli):
+    Path("own.toml").write_text(CHARGED.partition("[analysis]")[0].replace("pwl", "ac = 1 # "))
+    done = cli("run", "own.toml")
+    assert "s: the key ac has no effect" in done.stderr
+    assert 'type = "ac"  and  stop = "100 kHz"' in done.stderr
+    advised = ("--set", "analysis.type=ac", "--set", "analysis.stop=100 kHz")
+    assert "has no effect" not in cli("run", "own.toml", *advised).stderr
