@@ -181,13 +181,17 @@ class Chip(Section):
                 )
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
         if outermost > half * (1 - 1e-6):
+            fitting = int(half * (1 - 1e-6) // self.mesh.ring_spacing)
+            spacing = float(f"{0.9 * half / self.mesh.rings:.2g}")
+            hint = f"lower mesh.rings to {fitting}"
+            hint = hint if fitting else f"lower mesh.ring_spacing to {spacing:g} m"
             raise invalid_value_error(
                 (
                     f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the "
                     f"chip; half of the smaller side is {half:g} m"
                 ),
                 None,
-                hint=f"lower mesh.rings to {int(half * (1 - 1e-6) // self.mesh.ring_spacing)}",
+                hint=hint,
             )
         if self.poling == "x" and self.mounting in ("roller", "free"):
             raise invalid_value_error(
@@ -196,7 +200,9 @@ class Chip(Section):
         try:
             _ = self.ceramic
         except UsageError as error:
-            raise ValueError(str(error)) from None
+            raise invalid_value_error(
+                error.message, error.expected, "material", error.hint
+            ) from None
         return self
 
     @cached_property
@@ -212,7 +218,11 @@ class Chip(Section):
             table = {"like": PAPER_CERAMIC, **table}
         result = material(table)
         if result.conductor or not result.isotropic_about_z:
-            raise UsageError(f"{result.name} is not a ceramic with poling along z (class 6mm)")
+            raise UsageError(
+                f"{result.name} is not a ceramic with poling along z (class 6mm)",
+                expected="a ceramic such as THP51 or PZT-5A",
+                hint='write  material = "PZT-5A"',
+            )
         return replace(result, name="ceramic")
 
     @property

@@ -501,6 +501,7 @@ def _compare_methods(
                 where=option,
                 got=value,
                 expected=expected,
+                hint=f"leave out {option}",
             )
     with naming_options(options), caller.progress() as progress:
         result = compare_methods(model, **options, progress=progress)

@@ -93,14 +93,18 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
         return _make_missing_value_error(param, name, typed)
     if param is None:
         return UsageError(
-            error.format_message(), where=command.name, got=_join_typed_line(command, typed)
+            error.format_message(),
+            where=command.name,
+            got=_join_typed_line(command, typed),
+            hint=f"{PROGRAM} {command.name} --help lists all options",
         )
     if type(error) is not typer.BadParameter:
         return _make_missing_argument_error(command, param, typed)
     number = re.search("number|integer|float|range", error.message)
     if number or _find_option_limits(param) != (None, None):
         return _make_invalid_number_error(param, typed, "integer" in error.message)
-    return UsageError(error.message, where=param.opts[0], got=_join_typed_line(command, typed))
+    got, hint = _join_typed_line(command, typed), f"{PROGRAM} {command.name} --help"
+    return UsageError(error.message, where=param.opts[0], got=got, hint=f"{hint} lists its values")
 
 
 def _join_typed_line(command: Any, typed: list[str]) -> str:

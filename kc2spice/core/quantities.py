@@ -845,7 +845,11 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
     if _parse_unit(begun[2]) is not None:
         return f'write  "{begun[1]} {si}"  if the value is in {si}' if si else f"write {begun[1]}"
-    near = get_close_matches(begun[2], [f"{prefix}{si}" for prefix in ("", *_PREFIX)], 1, 0.7)
+    units = [f"{prefix}{si}" for prefix in ("", *_PREFIX)]
+    near = get_close_matches(begun[2], units, 1, 0.7)
+    if not near:  # another letter case: kh for kHz
+        lower = {unit.lower(): unit for unit in reversed(units)}
+        near = [lower[unit] for unit in get_close_matches(begun[2].lower(), lower, 1, 0.7)]
     if near or not si:
         return f'write  "{begun[1]} {near[0]}"' if near else f"write {begun[1]}"
     return f'write  "{begun[1]} {si}"  if the value is in {si}'
@@ -870,7 +874,9 @@ def _parse_number(si: str, value: object) -> float:
 def _parse_number_with_unit(si: str, value: object) -> float:
     """Convert a quantity to the unit ``si``; a number without a unit causes an error."""
     if not isinstance(value, str):
-        raise invalid_value_error("the unit of this value is missing", f'a string such as "1 {si}"')
+        hint = f'write for example  "{value} {si}"'
+        expected = f'a string such as "1 {si}"'
+        raise invalid_value_error("the unit of this value is missing", expected, hint=hint)
     return _parse_number(si, value)
 
 
@@ -879,7 +885,9 @@ def _require_ring_radii(value: object) -> object:
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
     raise invalid_value_error(
-        "this value is not one of the choices", "needed, all, or a whole number from 1 on"
+        "this value is not one of the choices",
+        "needed, all, or a whole number from 1 on",
+        hint='write  "needed"',
     )
 
 
@@ -905,7 +913,13 @@ def _parse_place(value: object) -> ScalePlace:
             continue
         result.unit = unit if isinstance(value, str) else ""
         return result
-    raise invalid_value_error("this value is not a time or frequency", 'such as "46 Hz" or "2 ms"')
+    hint = 'write a number with its unit, such as  "46 Hz"  or  "2 ms"'
+    if isinstance(value, str):
+        corrections = (_suggest_spelling(value, unit) for unit in ("Hz", "s"))
+        hint = next((item for item in corrections if item and "if the value" not in item), hint)
+    raise invalid_value_error(
+        "this value is not a time or frequency", 'such as "46 Hz" or "2 ms"', hint=hint
+    )
 
 
 def _parse_mounting(value: object) -> object:
@@ -917,7 +931,9 @@ def _parse_mounting(value: object) -> object:
     except UsageError:
         pass
     above_zero = 'or a stiffness per area above zero such as "1e14 N/m3"'
-    raise invalid_value_error("this mounting does not exist", f"{', '.join(known)}, {above_zero}")
+    hint = did_you_mean(str(value), known) or 'write for example  "glued"'
+    expected = f"{', '.join(known)}, {above_zero}"
+    raise invalid_value_error("this mounting does not exist", expected, hint=hint)
 
 
 def si(unit: str) -> BeforeValidator:

@@ -66,7 +66,8 @@ class PolingTable(EqualByContent):
             problem = f"row {self.rows[strange[0]]}: this element is not in the mesh"
             expected = f"numbers of elements of the mesh, {numbers.min()} … {numbers.max()}"
             got = f"element {number}, and {strange.size - 1} more"
-            raise wrong(self.where, problem, got, expected)
+            hint = "export the file for the mesh of this body, or delete these rows"
+            raise wrong(self.where, problem, got, expected, hint)
         order = np.argsort(self.numbers)
         missing = np.setdiff1d(numbers[members], self.numbers)
         if missing.size:
@@ -74,7 +75,13 @@ class PolingTable(EqualByContent):
             more = ", …" if missing.size > LISTED_ELEMENTS else ""
             got = f"{missing.size} elements without poling: {first}{more}"
             expected = "a row for each element of the group"
-            raise wrong(self.where, "the file lacks elements of the mesh", got, expected)
+            raise wrong(
+                self.where,
+                "the file lacks elements of the mesh",
+                got,
+                expected,
+                f"add a row for element {missing[0]}",
+            )
         return np.asarray(order[np.searchsorted(self.numbers[order], numbers[members])])
 
 
@@ -89,22 +96,37 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     try:
         text = decode_text(read_bounded(path, MAX_FILE_BYTES))
     except UnicodeDecodeError:
-        raise wrong(where, "this file is not UTF-8 text", str(path)) from None
+        hint = "save it with the encoding UTF-8 in a text editor"
+        raise wrong(where, "this file is not UTF-8 text", str(path), hint=hint) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise wrong(where, f"this file cannot be read: {reason}", str(path)) from None
+        hint = f"copy {path.name} into the folder of the scene, or correct its name"
+        raise wrong(
+            where, f"this file cannot be read: {reason}", str(path), "a CSV file", hint
+        ) from None
     lines = _read_rows(text, where)
     _, titles = next(lines, (0, []))
     columns = tuple(map(str.lower, titles))
     if columns not in COLUMN_LAYOUTS:
         got = ", ".join(titles)[:100] or "an empty file"
-        raise wrong(where, "the file of polings has wrong columns", got, EXPECTED_COLUMNS)
+        raise wrong(
+            where,
+            "the file of polings has wrong columns",
+            got,
+            EXPECTED_COLUMNS,
+            f"write the titles  {','.join(COLUMN_LAYOUTS[0])}  into the first line",
+        )
     rows, values = [], []
     for row, cells in lines:
         rows.append(row)
         values.append(_parse_row(cells, columns, row, where))
     if not rows:
-        raise wrong(where, "the file of polings has no rows", expected="a row for each element")
+        raise wrong(
+            where,
+            "the file of polings has no rows",
+            expected="a row for each element",
+            hint="add rows below the titles",
+        )
     table = np.array(values)
     _require_directions(table[:, -3:], rows, where, axisymmetric)
     if columns == COLUMN_LAYOUTS[0]:
@@ -134,13 +156,21 @@ def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
             try:
                 yield row, [*map(str.strip, next(csv.reader([line], strict=True)))]
             except csv.Error as error:
-                raise wrong(where, f"row {row} of the file is not CSV: {error}") from None
+                hint = "separate the numbers of this row by commas, without quotes"
+                problem = f"row {row} of the file is not CSV: {error}"
+                raise wrong(where, problem, line[:60], hint=hint) from None
 
 
 def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str) -> list[float]:
     if len(cells) != len(columns):
         problem, got = f"row {row} has the wrong number of columns", f"{len(cells)} columns"
-        raise wrong(where, problem, got, f"{len(columns)} columns: {', '.join(columns)}")
+        raise wrong(
+            where,
+            problem,
+            got,
+            f"{len(columns)} columns: {', '.join(columns)}",
+            f"write {len(columns)} numbers, separated by commas, in row {row}",
+        )
     result = []
     for column, cell in zip(columns, cells, strict=True):
         try:
@@ -148,7 +178,13 @@ def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str)
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            raise wrong(where, f"row {row}, column {column}: not a finite number", cell[:50])
+            raise wrong(
+                where,
+                f"row {row}, column {column}: not a finite number",
+                cell[:50],
+                "a number such as 0.5",
+                "write a number with a decimal point",
+            )
         result.append(value)
     return result
 
@@ -159,7 +195,13 @@ def _require_directions(
     zero = np.flatnonzero(~directions.any(axis=1))
     if zero.size:
         problem = f"row {rows[zero[0]]}: the poling is a zero vector"
-        raise wrong(where, problem, "px = py = pz = 0", "a vector of any length except zero")
+        raise wrong(
+            where,
+            problem,
+            "px = py = pz = 0",
+            "a vector of any length except zero",
+            "write for example 0,0,1",
+        )
     out = np.flatnonzero(directions[:, 1])
     if axisymmetric and out.size:
         problem = f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh"
@@ -172,11 +214,13 @@ def _require_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndar
     if fractions.size:
         row = rows[fractions[0]]
         problem = f"row {row}, column element: not an element number"
-        raise wrong(where, problem, f"{values[fractions[0]]:g}", "a whole number")
+        hint = f"write {round(values[fractions[0]])}, if this is the element"
+        raise wrong(where, problem, f"{values[fractions[0]]:g}", "a whole number", hint)
     numbers = values.astype(np.int64)
     _, first = np.unique(numbers, return_index=True)
     twice = np.setdiff1d(np.arange(len(numbers)), first)
     if twice.size:
         problem = f"row {rows[twice[0]]}: this element already has a row"
-        raise UsageError(problem, where=where, got=f"element {numbers[twice[0]]}")
+        got, hint = f"element {numbers[twice[0]]}", f"delete row {rows[twice[0]]}"
+        raise UsageError(problem, where=where, got=got, hint=hint)
     return numbers

@@ -368,7 +368,13 @@ def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
     if high - low >= catch.air_height:
         expected = f"more than {high - low:g} m, several times that for a small error"
         problem = "the air cylinder is lower than the magnet and the coils inside it"
-        raise wrong("catch.air_height", problem, f"{catch.air_height:g} m", expected)
+        raise wrong(
+            "catch.air_height",
+            problem,
+            f"{catch.air_height:g} m",
+            expected,
+            f"raise air_height to {3 * (high - low):g} m",
+        )
     centre = (low + high) / 2
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
 

@@ -31,6 +31,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import (
@@ -46,6 +47,7 @@ from kc2spice.core.quantities import (
     Pressure,
     Ratio,
     Section,
+    invalid_value_error,
     quantity,
     si,
     validate,
@@ -297,11 +299,21 @@ def _convert_units(unit: str, value: object) -> object:
     try:
         return quantity(value, unit)
     except UsageError as error:
-        raise ValueError(f"{error.message}: {error.got}; expected {error.expected}") from None
+        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 _Tensor: TypeAlias = dict[str, float] | list[list[float]]
 _Modulus: TypeAlias = float | list[float]
+
+
+_ELASTIC_KEYS = ("youngs_modulus", "stiffness", "compliance")
+
+
+def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomError:
+    """Make the error of an unknown material ``name`` of the key ``like``."""
+    expected = f"one of {list_candidates(name, known, 'docs/reference/materials.md')}"
+    hint = did_you_mean(name, known) or f'write for example  like = "{known[0]}"'
+    return invalid_value_error("this material does not exist", expected, "like", hint)
 
 
 class MaterialTable(Section):
@@ -396,11 +408,9 @@ class MaterialTable(Section):
         """Add the properties of the material ``like`` that the table omits."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
-        base = dict(_load_tables().get(data["like"], {}))
-        if not base:
-            raise ValueError(
-                f"like: this material does not exist: {data['like']}; {', '.join(_load_tables())}"
-            )
+        if str(data["like"]) not in _load_tables():
+            raise make_unknown_base_error(str(data["like"]), list(_load_tables()))
+        base = dict(_load_tables()[data["like"]])
         for forms in _ALTERNATIVE_KEYS:
             if set(chain.from_iterable(forms)).isdisjoint(data):
                 continue
@@ -417,22 +427,46 @@ class MaterialTable(Section):
     def _require_one_form(self) -> MaterialTable:
         elastic = [self.youngs_modulus, self.stiffness, self.compliance]
         if elastic.count(None) != 2:
-            raise ValueError(
-                "the material needs exactly one of youngs_modulus, stiffness, compliance"
+            stated = [key for key in _ELASTIC_KEYS if getattr(self, key) is not None]
+            hint = 'add  youngs_modulus = "100 GPa"  and  poisson_ratio = 0.3'
+            if stated:
+                hint = f"delete {' and '.join(stated[1:])}"
+            raise invalid_value_error(
+                "the material needs exactly one of youngs_modulus, stiffness, compliance",
+                None,
+                hint=hint,
             )
         if self.stress_coupling is not None and self.strain_coupling is not None:
-            raise ValueError("stress_coupling and strain_coupling cannot be combined")
+            raise invalid_value_error(
+                "stress_coupling and strain_coupling cannot be combined",
+                None,
+                hint="delete strain_coupling, because both contain the same constants",
+            )
         coupled = self.stress_coupling is not None or self.strain_coupling is not None
         if coupled and (self.permittivity is None or self.permittivity_at is None):
-            raise ValueError(
-                "a piezoelectric material needs permittivity and permittivity_at"
-                ' ("stress" as in most data sheets, or "strain")'
+            missing = "permittivity_at" if self.permittivity is not None else "permittivity"
+            line = 'permittivity_at = "stress"' if self.permittivity is not None else (
+                "permittivity = { eps11 = 1700, eps33 = 1800 }"
+            )  # fmt: skip
+            raise invalid_value_error(
+                f"the key {missing} of this piezoelectric material is missing",
+                None,
+                hint=f"add  {line}  with the values of the data sheet",
             )
         if coupled and self.conductor:
-            raise ValueError("a material with conductor = true cannot have piezoelectric constants")
+            raise invalid_value_error(
+                "a material with conductor = true cannot have piezoelectric constants",
+                None,
+                hint="delete conductor",
+            )
         unknown = set(self.sources) - set(type(self).model_fields)
         if unknown:
-            raise ValueError(f"sources contains unknown keys: {', '.join(sorted(unknown))}")
+            raise invalid_value_error(
+                f"sources contains unknown keys: {', '.join(sorted(unknown))}",
+                None,
+                hint=did_you_mean(min(unknown), type(self).model_fields)
+                or f"delete {min(unknown)} from sources",
+            )
         return self
 
     def build(self, name: str) -> Material:
@@ -474,6 +508,8 @@ class MaterialTable(Section):
         largest = float(np.diag(C).max())
         if not 1e3 <= largest <= 2e12:  # a wrong unit, such as Pa instead of GPa
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
+            if isinstance(self.youngs_modulus, float) and 1e3 <= 1e9 * largest <= 2e12:
+                hint = f'write  youngs_modulus = "{self.youngs_modulus:g} GPa"'
             problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
         _require_possible_density(self.density, largest)
@@ -497,11 +533,16 @@ class MaterialTable(Section):
         else:
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
+            hint = "for an isotropic material, leave out shear_modulus"
+            if isinstance(E_keys, float) and nu is None and G is None:
+                hint = "add  poisson_ratio = 0.3"
+            values = {"youngs_modulus": E_keys, "poisson_ratio": nu, "shear_modulus": G}
+            stated = (f"{key} = {value}" for key, value in values.items() if value is not None)
             raise UsageError(
                 "these moduli do not define an elastic material",
-                got=(E_keys, nu, G),
+                got=", ".join(stated),
                 expected=f"one youngs_modulus and one poisson_ratio, or {expected}",
-                hint="for an isotropic material, leave out shear_modulus",
+                hint=hint,
             )
         if isinstance(nu, float) and not -1 < nu < 0.5:
             raise wrong(
@@ -513,7 +554,11 @@ class MaterialTable(Section):
             )
         if min(E) <= 0 or not min(g) > 0:
             expected = "moduli above zero, and a poisson_ratio above -1"
-            raise UsageError("an elastic modulus is not positive", got=[*E, *g], expected=expected)
+            hint = "remove the minus sign" if min(E) < 0 else "write values above zero"
+            got = ", ".join(f"{modulus:g} Pa" for modulus in dict.fromkeys([*E, *g]))
+            raise UsageError(
+                "an elastic modulus is not positive", got=got, expected=expected, hint=hint
+            )
         s = np.diag(1 / np.array([*E, *g]))
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
         return np.triu(s) + np.triu(s, 1).T
@@ -527,7 +572,8 @@ class MaterialTable(Section):
         if "eps11" not in values or set(values) - set(names):
             expected = "eps11, and eps22 or eps33 where they differ from it"
             problem = "these keys are not the components of a permittivity"
-            raise wrong("permittivity", problem, ", ".join(values), expected)
+            hint = "write  permittivity = { eps11 = VALUE, eps33 = VALUE }"
+            raise wrong("permittivity", problem, ", ".join(values), expected, hint)
         first = values["eps11"]
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
@@ -544,7 +590,11 @@ class MaterialTable(Section):
         if self.symmetry not in _FREE_COMPONENTS:
             expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
             raise wrong(
-                key, "single components of a tensor need the key symmetry", self.symmetry, expected
+                key,
+                "single components of a tensor need the key symmetry",
+                self.symmetry,
+                expected,
+                'add  symmetry = "6mm"  for a poled ceramic',
             )
         first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
         if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
@@ -558,7 +608,11 @@ class MaterialTable(Section):
                 "these components do not match the symmetry",
                 ", ".join(sorted(required)),
             )
-            raise UsageError(problem, where=key, got=", ".join(sorted(values)), expected=expected)
+            missing, more = sorted(required - set(values)), sorted(set(values) - required)
+            actions = [f"add {', '.join(missing)}"] if missing else []
+            actions += [f"delete {', '.join(more)}"] if more else []
+            got, hint = ", ".join(sorted(values)), " and ".join(actions)
+            raise UsageError(problem, where=key, got=got, expected=expected, hint=hint)
         matrix = np.zeros(shape)
         for group in groups:
             for place in group:
@@ -575,12 +629,22 @@ def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) ->
         got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
         raise UsageError(
-            "the matrix has a wrong number of entries", where=key, got=got, expected=expected
+            "the matrix has a wrong number of entries",
+            where=key,
+            got=got,
+            expected=expected,
+            hint=f"write {expected}, as [[…], …]",
         )
     matrix = np.array(rows)
     if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
         expected = "equal entries on both sides of the diagonal"
-        raise UsageError("this matrix is not symmetric", where=key, got=rows, expected=expected)
+        row, column = map(int, np.argwhere(~np.isclose(matrix, matrix.T, rtol=1e-6))[0])
+        place = f"row {row + 1}, column {column + 1}"
+        got = f"{matrix[row, column]:g} in {place}, and {matrix[column, row]:g} on the other side"
+        hint = f"write {matrix[column, row]:g} in {place}"
+        raise UsageError(
+            "this matrix is not symmetric", where=key, got=got, expected=expected, hint=hint
+        )
     return matrix
 
 

@@ -113,7 +113,10 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
                     )
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
-                    raise UsageError("an element has a node that does not exist", where=where)
+                    hint = "export the mesh again, with all nodes"
+                    raise UsageError(
+                        "an element has a node that does not exist", where=where, hint=hint
+                    )
                 local = np.reshape(places, (count, -1))[:, :d]
                 result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
         return result
@@ -206,7 +209,13 @@ def _select_entities(
         if not hits:
             problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
             expected = "a point of the geometry, in the file's unit here"
-            raise wrong(f"groups.{name}.at", problem, list(map(float, point)), expected)
+            raise wrong(
+                f"groups.{name}.at",
+                problem,
+                list(map(float, point)),
+                expected,
+                f"write a point of the {ENTITY_NAMES[dimension]} in the unit of the file",
+            )
         result += hits
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
@@ -215,7 +224,10 @@ def _select_entities(
     if not result:
         expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
         raise UsageError(
-            "this group selects no part of the mesh", where=f"groups.{name}", expected=expected
+            "this group selects no part of the mesh",
+            where=f"groups.{name}",
+            expected=expected,
+            hint=f"enlarge the box of groups.{name}, which is in the unit of the file",
         )
     return sorted(set(map(int, result)))
 

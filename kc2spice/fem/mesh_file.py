@@ -340,7 +340,8 @@ def _assemble_mesh(
     """Assemble the mesh and its groups from the arrays of :func:`extract_mesh`."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
-        raise UsageError("a node has a coordinate that is not a finite number", where=where)
+        problem = "a node has a coordinate that is not a finite number"
+        raise UsageError(problem, where=where, hint="export the mesh again")
     # an axisymmetric mesh is in the plane x-y with the axis y, or in x-z with the axis z
     if dimension == 2:
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
@@ -427,5 +428,6 @@ def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
             "this group does not lie on the elements of the body",
             where=f"group {name}",
             expected="faces, curves or points of the elements that have a material",
+            hint=f"give the solid beside {name} a material",
         )
     return places

@@ -29,6 +29,7 @@ MESHIO_READERS = {
     ".e": ("exodus", "netCDF4"),
 }  # fmt: skip
 # Shape, dimension and number of corners of elements, keyed by the beginning of meshio's name.
+_ORDER_HINT = "mesh with linear or quadratic elements in the program that made the mesh"
 ELEMENT_SHAPES = {
     "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
     "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
@@ -151,11 +152,16 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
         if shape is None:
             expected = "elements of order 1 or 2"
             raise wrong(
-                "mesh", "the mesh has an element type that is not supported", cells.type, expected
+                "mesh",
+                "the mesh has an element type that is not supported",
+                cells.type,
+                expected,
+                _ORDER_HINT,
             )
         nodes = np.asarray(cells.data)
         if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
-            raise UsageError("an element has a node that does not exist", where="mesh")
+            hint = "export the mesh again, with all nodes"
+            raise UsageError("an element has a node that does not exist", where="mesh", hint=hint)
         blocks.append((shape, nodes))
     for (_, d, corners), nodes in blocks:
         if d == dimension:
@@ -363,6 +369,7 @@ def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int
         "the mesh has an element type that is not supported",
         f"{shape} with {nodes} nodes",
         expected,
+        _ORDER_HINT,
     )
 
 

@@ -41,6 +41,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
             "the merge distance exceeds the shortest edge of an element",
             f"{distance:g} m",
             shortest,
+            f"lower merge to {0.1 * _find_shortest_edge(points, cells):.2g} m",
         )
     return np.asarray(same)
 

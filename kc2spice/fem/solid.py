@@ -100,7 +100,8 @@ class Solid:
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
             problem = "the axisymmetric mesh crosses the axis"
             got = f"x = {self.mesh.p[0].min():g} m"
-            raise wrong("mesh", problem, got, "x (the radius) of at least 0")
+            hint = "delete the half of the mesh with negative x, or move the mesh"
+            raise wrong("mesh", problem, got, "x (the radius) of at least 0", hint)
 
     @property
     def components(self) -> int:

@@ -18,8 +18,8 @@ from pydantic import Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
-from kc2spice.core.quantities import Density, Section, si, validate
-from kc2spice.fem.materials import material
+from kc2spice.core.quantities import Density, Section, invalid_value_error, si, validate
+from kc2spice.fem.materials import make_unknown_base_error, material
 
 Conductivity = Annotated[float, si("W/(m K)")]
 SpecificHeat = Annotated[float, si("J/(kg K)")]
@@ -78,16 +78,17 @@ class ThermalMaterialTable(Section):
             return data
         name = list_thermal_names().get(data["like"].lower())
         if name is None:
-            raise ValueError(
-                f"like: this material does not exist: {data['like']}; "
-                f"{', '.join(load_thermal_library())}"
-            )
+            raise make_unknown_base_error(data["like"], list(load_thermal_library()))
         return dict(load_thermal_library()[name]) | dict(data)
 
     @model_validator(mode="after")
     def _require_conduction(self) -> ThermalMaterialTable:
         if np.min(self.conductivity) <= 0:
-            raise ValueError("conductivity must be greater than 0")
+            raise invalid_value_error(
+                "conductivity must be greater than 0",
+                None,
+                hint='write for example  conductivity = "15 W/(m K)"',
+            )
         return self
 
     def build(self, name: str) -> ThermalMaterial:

@@ -275,7 +275,17 @@ class _Parser:
             f"not an expression: {what}",
             where=self.where,
             got=f"{self.text[:60]!r} at {self.text[self.at : self.at + 20]!r}",
+            hint=self._advise(what),
         )
+
+    def _advise(self, what: str) -> str:
+        """Advise how to correct the text at the present position."""
+        rest = self.text[self.at : self.at + 20].strip()
+        if what.startswith(")"):
+            return "add the missing ) of this expression"
+        if not rest:
+            return "complete the expression at its end"
+        return f"correct the text from  {rest}  on"
 
     def peek_token(self) -> re.Match[str] | None:
         """Return the next token, but do not consume the token."""

@@ -40,6 +40,7 @@ from kc2spice.netlist.expression import (
     map_operands,
     parse_expression,
 )
+from kc2spice.netlist.read import LAPLACE_HINT
 from kc2spice.netlist.spelling import split_infix_unit
 
 # Ohm, series resistance of an uncoupled inductor without ``Rser`` (LTspice help, L).
@@ -104,7 +105,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
     Examples
     --------
-    >>> from kc2spice.netlist.read import read_cards
+    >>> from kc2spice.netlist.read import LAPLACE_HINT, read_cards
     >>> text = ".subckt p a b\\nC1 a b 10n Rser=0.1\\nB1 a b I=if(V(a,b)>1, 1m, 0)\\n.ends"
     >>> for item in translate_circuit(read_cards(text, "p.lib"), "ltspice").subcircuits[0].items:
     ...     print(item.name, *item.nodes, *(item.values or [item.expression]))
@@ -193,7 +194,12 @@ class _CircuitTranslator:
             return model
         base = self.models.get(model.type[4:].lower())
         if base is None or base is model:
-            raise model.error("no model to begin with", model.type[4:], "a .model of this file")
+            raise model.error(
+                "no model to begin with",
+                model.type[4:],
+                "a .model of this file",
+                f"add the line  .model {model.type[4:]} …  of its manufacturer",
+            )
         base = self._resolve_model(base)
         parameters = _model_parameters(base) | _model_parameters(model)
         parameters.pop(base.type.lower(), None)  # the type, which may also follow after ako:
@@ -239,14 +245,22 @@ class _CircuitTranslator:
         if element.kind == "r" and "r" in element.settings:
             return (self._translate_resistor(element),)
         if element.kind == "a":
-            raise element.error("a device of LTspice's own has no equal in ngspice")
+            raise element.error(
+                "a device of LTspice's own has no equal in ngspice",
+                hint="replace it by B sources, or by a subcircuit of the same function",
+            )
         words = " ".join(map(str.lower, (*element.values, *element.parameters)))
         if element.kind in "eg" and (
             "laplace" in words or element.expression.lower().startswith("laplace")
         ):
-            raise element.error("a Laplace transform has no equal in ngspice's time domain")
+            raise element.error(
+                "a Laplace transform has no equal in ngspice's time domain", hint=LAPLACE_HINT
+            )
         if element.kind == "i" and words.endswith(" load"):
-            raise element.error("a load without current at 0 V has no equal in ngspice")
+            raise element.error(
+                "a load without current at 0 V has no equal in ngspice",
+                hint="delete load from this line, or replace the source by a resistor",
+            )
         if self.syntax == "ltspice":
             element = _move_ratings(element)
         element = replace(
@@ -307,7 +321,10 @@ class _CircuitTranslator:
                 continue
             across = {"rpar": "r", "cpar": "c"}.get(name)
             if across is None:
-                raise element.error(f"{name} of a behavioural source has no equal in ngspice")
+                raise element.error(
+                    f"{name} of a behavioural source has no equal in ngspice",
+                    hint=LAPLACE_HINT if name == "laplace" else f"delete {name} from this line",
+                )
             card = f"{across.upper()}{element.name}_par"
             result.append(
                 _make_parallel_element(
@@ -319,7 +336,10 @@ class _CircuitTranslator:
     def _translate_inductor(self, element: Element) -> Iterable[Item]:
         """Translate an inductor with the parasitics ``Rser``, ``Rpar`` and ``Cpar``."""
         if "flux" in element.settings:
-            raise element.error("a flux by an expression has no equal in ngspice")
+            raise element.error(
+                "a flux by an expression has no equal in ngspice",
+                hint="write a constant inductance in place of the expression",
+            )
         ideal = element.key in self.coupled or self.syntax == "pspice"
         default = "0" if ideal else INDUCTOR_RESISTANCE
         settings = {"rser": default, **element.settings}
@@ -358,14 +378,20 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
     """Translate a capacitor with its parasitics."""
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
-        raise element.error("a charge by an expression has no equal in ngspice")
+        raise element.error(
+            "a charge by an expression has no equal in ngspice",
+            hint="write a constant capacitance in place of the expression",
+        )
     return _expand_parasitics(element, settings, ("lser", "rlshunt"))
 
 
 def _translate_voltage(element: Element) -> Iterable[Item]:
     """Translate a voltage source with the parasitics ``Rser`` and ``Cpar``."""
     if any(word.lower().startswith("wavefile") for word in element.values):
-        raise element.error("a source out of a sound file has no equal in ngspice")
+        raise element.error(
+            "a source out of a sound file has no equal in ngspice",
+            hint="write the waveform as  PWL(TIME VALUE TIME VALUE …)",
+        )
     return _expand_parasitics(element, element.settings, ())
 
 
@@ -416,7 +442,10 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
     """
     unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
     if unknown:
-        raise element.error(f"an ideal diode has no parameter {', '.join(sorted(unknown))}")
+        raise element.error(
+            f"an ideal diode has no parameter {', '.join(sorted(unknown))}",
+            hint=f"delete {', '.join(sorted(unknown))} from this line",
+        )
 
     def parameter(name: str, default: str = "0") -> str:
         """Return a parameter of the model or its default."""
@@ -509,11 +538,15 @@ def _require_simple_switch(model: Model) -> None:
     width = literal_value(words.get(name, "0"), where=model.where)
     if width is not None and width < 0:
         got = f"{name}={words[name]}"
-        raise model.error("a switch that opens gradually has no equal in ngspice", got)
+        raise model.error(
+            "a switch that opens gradually has no equal in ngspice",
+            got,
+            hint=f"write  {name}=0",
+        )
     extra = words.keys() & {"lser", "vser", "ilimit", "level", "epsilon", "oneway"}
     if extra:
         problem = f"{', '.join(sorted(extra))} of a switch has no equivalent in ngspice"
-        raise model.error(problem)
+        raise model.error(problem, hint=f"delete {', '.join(sorted(extra))} from this line")
 
 
 # --- numbers and expressions ----------------------------------------------------------------------
@@ -547,7 +580,9 @@ class _ExpressionTranslator:
         """
         if "^" in text and self.scope.syntax == "ltspice":
             message = "LTspice reads ^ as exclusive or, PSpice and ngspice as a power"
-            raise self.card.error(message, text[:80], "** for a power")
+            raise self.card.error(
+                message, text[:80], "** for a power", "write ** in place of ^, if you mean a power"
+            )
         text = re.sub(r"(?<!&)&(?!&)", "&&", re.sub(r"(?<!\|)\|(?!\|)", "||", text))
         text = text.replace("~", "!").translate(_MICRO)
         return ExpressionWriter().write(
@@ -594,7 +629,8 @@ class _ExpressionTranslator:
             return Call(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
             got = ExpressionWriter().write(Call(function, arguments))
-            raise self.card.error(f"{reason} has no equal in ngspice", got[:80])
+            hint = f"replace {function}(…) by an expression without it"
+            raise self.card.error(f"{reason} has no equal in ngspice", got[:80], hint=hint)
         rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(
             (function, -1)
         )
@@ -617,7 +653,10 @@ class _ExpressionTranslator:
         problem = "a power with a base that can be negative has another value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
         raise self.card.error(
-            problem, ExpressionWriter().write(Binary("^", base, power))[:80], expected
+            problem,
+            ExpressionWriter().write(Binary("^", base, power))[:80],
+            expected,
+            "write abs(…) around the base",
         )
 
 

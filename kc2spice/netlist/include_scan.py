@@ -29,7 +29,13 @@ from kc2spice.core.untrusted_files import (
     read_bounded,
 )
 from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
-from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, split_statements
+from kc2spice.netlist.read import (
+    LAPLACE_HINT,
+    OPTION_CARDS,
+    Statement,
+    split_comment,
+    split_statements,
+)
 from kc2spice.netlist.spelling import format_comment
 
 MAX_CIRCUIT_BYTES = 4_000_000  # bytes of one file, and characters of the merged text
@@ -346,8 +352,7 @@ def _find_deck_effects(
         yield f"has a comma in the number {number}", "a number with a decimal point", hint
     if key[:1] in ("e", "g", "b", "f", "h") and _LAPLACE_LAW.search(card.written):
         what = "has a Laplace transform, which ngspice cannot simulate"
-        hint = "replace this source by R, L, C, E and G elements with the same transfer function"
-        yield what, "elements of ngspice", hint
+        yield what, "elements of ngspice", LAPLACE_HINT
     if part and key in ANALYSES | _OUTPUT_COMMANDS:
         what = "contains an analysis" if key in ANALYSES else "contains an output command"
         yield (

@@ -36,6 +36,7 @@ from kc2spice.netlist.expression import literal_value
 
 _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
+LAPLACE_HINT = "replace this source by R, L, C, E and G elements with the same transfer function"
 THERMAL_FLAG = "thermal"  # flag of a VDMOS with temperature pins (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPENING_BRACKETS = "({["
@@ -229,7 +230,9 @@ def _read_card(s: Statement) -> Item:
         return Parameters(_read_assignments(s.words[1:], s), s.keyword, **origin)
     if s.keyword == ".model":
         if len(s.words) < 3:
-            raise s.error("model card is not complete")
+            model = s.words[1] if len(s.words) > 1 else "NAME"
+            hint = f"write for example  .model {model} D(IS=1e-14)"
+            raise s.error("model card is not complete", hint=hint)
         kind, _, inside = " ".join(s.words[2:]).partition("(")
         kind, *more = kind.split() + split_words(inside.rstrip().removesuffix(")"))
         return Model(s.words[1], kind, dict(map(_split_assignment, more)), **origin)
@@ -261,7 +264,9 @@ def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
     for item in items:
         word = item.strip(",")
         if not _is_assignment(word):
-            raise s.error("not a parameter", word, "name=value")
+            named = word if word.isidentifier() else "NAME"
+            hint = f"write {named}={'VALUE' if named == word else word}"
+            raise s.error("not a parameter", word, "name=value", hint)
         name, value = _split_assignment(word)
         pairs[name] = value
     return pairs
@@ -288,7 +293,9 @@ def parse_element(s: Statement) -> Element:
     if kind == "x":
         plain, assigned = _separate_assignments(rest)
         if not plain:
-            raise s.error("instance names no subcircuit")
+            raise s.error(
+                "instance names no subcircuit", hint=f"write  {name} NODE1 NODE2 SUBCIRCUIT"
+            )
         assignments = _read_assignments(assigned, s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
     if kind not in NODE_COUNTS:
@@ -300,7 +307,9 @@ def parse_element(s: Statement) -> Element:
     needed = end + (kind in MODEL_KINDS or kind not in "vi")
     if len(rest) < needed or not {"=", "("}.isdisjoint("".join(rest[:count])):
         more = ", then a value or model" if kind not in "vi" else ""
-        raise s.error("element is not complete", expected=f"{count} nodes{more}")
+        places = " ".join(f"NODE{k}" for k in range(1, count + 1))
+        hint = f"write  {name} {places}{' VALUE' if more else ''}"
+        raise s.error("element is not complete", expected=f"{count} nodes{more}", hint=hint)
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
         return _read_controlled_source(Element(kind, name, nodes, values=tuple(rest), **origin))
@@ -330,7 +339,9 @@ def _read_behaviour(s: Statement) -> Element:
     name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
-        raise s.error("behavioural source without a law", expected="I=… or V=expression")
+        hint = f"write  {name} NODE1 NODE2 V=EXPRESSION"
+        expected = "I=… or V=expression"
+        raise s.error("behavioural source without a law", expected=expected, hint=hint)
     origin = _card_origin(s) | {
         "quantity": quantity.strip().upper(),
         "expression": _remove_braces(law),
@@ -372,7 +383,13 @@ def _read_polynomial(text: str, where: str) -> str:
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
     if not dimension.strip().isdigit() or len(tokens) <= 2 * int(dimension):
-        raise UsageError("the polynomial is not complete", where=where, got=text[:80])
+        raise UsageError(
+            "the polynomial is not complete",
+            where=where,
+            got=text[:80],
+            expected="the number of voltages, two nodes for each of them, and coefficients",
+            hint="write for example  POLY(1) NODE1 NODE2 0 1",
+        )
     ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:

@@ -9,6 +9,7 @@ from functools import cached_property
 from operator import attrgetter
 from pathlib import PurePosixPath
 
+from kc2spice.core.errors import did_you_mean
 from kc2spice.netlist.circuit import (
     NODE_COUNTS,
     Card,
@@ -104,7 +105,8 @@ def _fill_scope(
                 if kind not in NODE_COUNTS and kind != "x":
                     letters = "".join(sorted(NODE_COUNTS)).upper()
                     expected = f"a name that begins with one of {letters}X"
-                    raise item.error("unknown kind of element", name, expected)
+                    hint = "delete this line, or begin it with * if it is a comment"
+                    raise item.error("unknown kind of element", name, expected, hint)
                 scope.elements.append(item)
             case Circuit():
                 _fill_scope(_open_subcircuit(item, scope), item, chain, files)
@@ -122,7 +124,8 @@ def _fill_scope(
                 if target not in files:
                     expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
                     got = written or "no file name"
-                    raise item.error("included file is not there", got, expected)
+                    hint = did_you_mean(written, files) or f"copy {got} beside the netlist"
+                    raise item.error("included file is not there", got, expected, hint)
                 _fill_scope(scope, files[target], (*chain, target), files)
             case Directive(".control" | ".end"):
                 pass
@@ -154,7 +157,8 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
     name = item.name.lower()
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
-        raise item.error("two subcircuits have one name", item.name, expected)
+        hint = f"rename or delete the second .subckt {item.name}"
+        raise item.error("two subcircuits have one name", item.name, expected, hint)
     defaults = key_by_lower_name(item.defaults)
     parent.subcircuits[name] = Scope(
         item.name,

@@ -206,6 +206,7 @@ def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
                 where=name,
                 got=f"{first} and {pin}",
                 expected="names that differ in more than letter case",
+                hint=f"rename the pin {pin}",
             )
 
 

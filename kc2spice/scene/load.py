@@ -230,7 +230,11 @@ def _make_parts(
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
                 raise UsageError(
-                    "this name is already used", where=name, got=name, expected=expected
+                    "this name is already used",
+                    where=name,
+                    got=name,
+                    expected=expected,
+                    hint=f"rename your part {name}",
                 )
             keys = dict(table)
             at = keys.pop("at", None)
@@ -304,7 +308,11 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
         if not isinstance(table, Mapping) and name in DEFAULT_TYPES:
             expected = f"a table, [{name}]"
             raise UsageError(
-                "this value is not a table", where=name, got=display_text(table), expected=expected
+                "this value is not a table",
+                where=name,
+                got=display_text(table),
+                expected=expected,
+                hint=f"write  [{name}]  and below it the keys of the part",
             )
         if not isinstance(table, Mapping):
             raise _make_unknown_key_error(name, data)

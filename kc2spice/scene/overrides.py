@@ -159,6 +159,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
             where=where,
             got=repr(clip_text(name)),
             expected=_EXAMPLES,
+            hint="write PART.KEY=VALUE, with the names of a part and of its key",
         )
     path: list[str] = []
     so_far, near = "", None

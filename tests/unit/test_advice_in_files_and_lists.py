@@ -237,3 +237,94 @@ def test_a_source_of_small_signals_without_an_analysis(cli):
     assert 'type = "ac"  and  stop = "100 kHz"' in done.stderr
     advised = ("--set", "analysis.type=ac", "--set", "analysis.stop=100 kHz")
     assert "has no effect" not in cli("run", "own.toml", *advised).stderr
+
+
+@pytest.mark.parametrize(
+    ("scene", "overrides", "head", "advice"),
+    [
+        ("kick_and_catch", ["control.kp=0", "control.ki=0", "control.kd=0"], "all gains",
+         'write for example  kp = "100 A/m"'),
+        ("kick_and_catch", ["kick.mounting=free"], "mounting of the chip is free",
+         'write  mounting = "glued"'),
+        ("kick_and_catch", ["kick.mounting=glue"], "does not exist", "did you mean 'glued'?"),
+        ("kick_and_catch", ["kick.material=steel"], "not a ceramic", 'write  material = "PZT-5A"'),
+        ("kick_and_catch", ["contact.a=control"], "no surface for a contact", 'write  a = "kick"'),
+        ("kick_and_catch", ["kick.drive.start=10 ms"], "the kick starts after",
+         "lower drive.start below 0.005 s"),
+        ("kick_and_catch", ["kick.mesh.ring_spacing=2 mm"], "does not fit on the chip",
+         "lower mesh.ring_spacing to 0.00027 m"),
+        ("impact", ['kick.fields=["1 ms"]'], "outside of the run", "write a time from 0 to"),
+        ("buzzer_noise", ["analysis.stop=20 kh"], "unknown unit", 'write  "20 kHz"'),
+        ("buzzer_noise", ["disc.rom.parameters={thickness=[1,2]}"], "no numeric key",
+         "did you mean 'layers[0].thickness'?"),
+        ("duffing", ["probes.x.of=mass.x", "probes.x.at=46 khz"], "not a time or frequency",
+         'write  "46 kHz"'),
+    ],
+)  # fmt: skip
+def test_keys_of_scenes_with_one_action(scene, overrides, head, advice):
+    with pytest.raises(kc.errors.UsageError, match=head) as caught:
+        kc.load_scene(scene, overrides)
+    assert advice in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("table", "hint", "correction"),
+    [
+        ({"density": 8500}, 'add  youngs_modulus = "100 GPa"  and  poisson_ratio = 0.3',
+         {"youngs_modulus": "100 GPa", "poisson_ratio": 0.3}),
+        ({"density": 8500, "youngs_modulus": "100 GPa"}, "add  poisson_ratio = 0.3",
+         {"poisson_ratio": 0.3}),
+        ({"density": 8500, "youngs_modulus": "100 Gpa", "poisson_ratio": 0.3},
+         'write  "100 GPa"', {"youngs_modulus": "100 GPa"}),
+        ({"density": 8500, "youngs_modulus": 100, "poisson_ratio": 0.3},
+         'write  youngs_modulus = "100 GPa"', {"youngs_modulus": "100 GPa"}),
+        ({"like": "bras"}, "did you mean 'brass'?", {"like": "brass"}),
+        ({"like": "PZT-5A", "stress_coupling": {"e31": 1.0}, "strain_coupling": {"d31": 1.0}},
+         "delete strain_coupling, because both contain the same constants", None),
+    ],
+)  # fmt: skip
+def test_a_table_of_a_material(table, hint, correction):
+    with pytest.raises(kc.errors.UsageError) as caught:
+        material(table)
+    assert caught.value.hint == hint
+    if correction is not None:
+        assert material(table | correction).density > 0
+
+
+def test_components_of_a_tensor_that_are_missing():
+    """Six independent stiffnesses of a hexagonal crystal, one of which follows from two others."""
+    table = {"density": 7750, "symmetry": "6mm", "stiffness": {"c11": "121 GPa", "c12": "75 GPa"}}
+    with pytest.raises(kc.errors.UsageError) as caught:
+        material(table)
+    assert caught.value.hint == "add c13, c33, c44"
+    table["stiffness"] |= {"c13": "75 GPa", "c33": "111 GPa", "c44": "21 GPa"}
+    assert material(table).C[5, 5] == pytest.approx((121e9 - 75e9) / 2)
+
+
+@pytest.mark.parametrize(
+    ("line", "advice"),
+    [
+        ("R3 out", "write  R3 NODE1 NODE2 VALUE"),
+        ("B1 out ref", "write  B1 NODE1 NODE2 V=EXPRESSION"),
+        (".model DX", "write for example  .model DX D(IS=1e-14)"),
+        (".param gain", "write gain=VALUE"),
+        ("X1", "write  X1 NODE1 NODE2 SUBCIRCUIT"),
+    ],
+)
+def test_an_incomplete_card(cli, refusal, line, advice):
+    found = refusal(amplifier=AMPLIFIER.replace("R2", f"{line}\nR2", 1))
+    assert found["next"] == advice
+
+
+@pytest.mark.parametrize(
+    ("values", "advice"),
+    [
+        ("mass.mass=1 g,1 g", "write mass.mass=1 g"),
+        ("mass.mass=normal(1 g,-0.1 g,5)", "write 0.1 g in place of -0.1 g"),
+        ("mass.mass=uniform(2 g,1 g,5)", "write uniform(1 g,2 g,5)"),
+    ],
+)
+def test_values_of_a_sweep(cli, values, advice):
+    done = cli("sweep", "duffing", "--set", values)
+    assert done.exit_code == 2
+    assert rows_of_error(done.stderr)["next"] == advice

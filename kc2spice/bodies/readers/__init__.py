@@ -208,7 +208,8 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     else:
         term = _read_matrices({letter: file})
     if letter not in term.matrices:
-        raise wrong(where, f"the file has no matrix {letter}", file.name, f"matrix {letter}")
+        hint = f"name matrix {letter} in {file.name}, or write the letter of a matrix that it has"
+        raise wrong(where, f"the file has no matrix {letter}", file.name, f"matrix {letter}", hint)
     rows, others = model.dofs, term.dofs
     if rows and others and not np.array_equal(rows.keys(), others.keys()):
         expected = "the degrees of freedom of the model, in the same order"
@@ -217,6 +218,7 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
             "the nodes and degrees of freedom of this term differ from those of the model",
             file.name,
             expected,
+            f"export {file.name} from the same mesh and numbering as the model",
         )
     return raw.require_matrix(term.matrices[letter], letter, file)
 
@@ -393,7 +395,9 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
-            raise raw.make_unusable_error(path, f"matrix {letter} in an unknown format", expected)
+            hint = f"save matrix {letter} as Matrix Market, such as by scipy.io.mmwrite"
+            got = f"matrix {letter} in an unknown format"
+            raise raw.make_unusable_error(path, got, expected, hint)
     abaqus = raw.Raw({})
     if tables:
         one = next(iter(tables.values()))

@@ -72,6 +72,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
                 "the model has no damping matrix of this name",
                 got,
                 "M, C, K and B, without E",
+                "delete damping_matrix",
             )
         renamed = dict(matrices)
         renamed["E"] = renamed.pop("C")
@@ -93,6 +94,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
             "the model has too many outputs",
             got,
             f"at most {MAX_NARROW_ENTRIES} numbers in C",
+            f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
         )
     # C is the output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
@@ -143,7 +145,10 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
             expected = f"what symmetric = true in {rows.sidecar.where} says"
-            raise wrong(rows.where, f"matrix {letter} is not symmetric", expected=expected)
+            hint = f"write  symmetric = false  into {rows.name}.toml"
+            raise wrong(
+                rows.where, f"matrix {letter} is not symmetric", expected=expected, hint=hint
+            )
         if letter != "E" and not matrix.count_nonzero():
             problem, expected = f"matrix {letter} is zero", f"entries in {letter}"
             first = "leave M out for a first-order model E x' + K x = B u"
@@ -197,7 +202,13 @@ class Rows:
             )
         if len(dofs) != self.size:
             problem = "the list of nodes does not match the rows of the matrices"
-            raise wrong(where, problem, f"{len(dofs)} rows with node,dof", f"{self.size} rows")
+            raise wrong(
+                where,
+                problem,
+                f"{len(dofs)} rows with node,dof",
+                f"{self.size} rows",
+                "write one row node,dof for each row of the matrices",
+            )
         return dofs
 
     def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
@@ -226,7 +237,9 @@ class Rows:
             got = f"node {', '.join(map(str, missing[:5]))}"
             expected = f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which the "
             expected += "tool has not constrained itself"
-            raise wrong(where, "the matrices have no such node", got, expected)
+            nearest = int(dofs.node[np.argmin(np.abs(dofs.node - missing[0]))])
+            hint = f"write {nearest} in place of {missing[0]}, or another free node"
+            raise wrong(where, "the matrices have no such node", got, expected, hint)
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, result in zip(kinds, rows, strict=True):
             if not len(result):
@@ -255,6 +268,7 @@ class Rows:
                 where=where,
                 got=got,
                 expected=expected,
+                hint="delete length and force, and export the matrices in metres and newtons",
             )
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
@@ -308,7 +322,8 @@ class Rows:
         if place > len(table):
             counted = "column" if entry.row is None else "row"
             problem = f"there is no {counted} {place}"
-            raise wrong(where, problem, place, f"1 to {len(table)}, the {what}")
+            hint = f"write  {counted} = {len(table)}" if len(table) else f"delete {counted}"
+            raise wrong(where, problem, place, f"1 to {len(table)}, the {what}", hint)
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
             return load
@@ -327,7 +342,11 @@ class Rows:
             got = f"{len(settings.ports)} ports of {self.size} rows"
             expected = f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model"
             raise UsageError(
-                "the model has too many ports", where=settings.where, got=got, expected=expected
+                "the model has too many ports",
+                where=settings.where,
+                got=got,
+                expected=expected,
+                hint="delete ports that no circuit uses",
             )
         loads = np.array([*map(self.load, settings.ports)])
         kinds = np.array([entry.kind for entry in settings.ports])
@@ -416,7 +435,8 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
         problem = "electrodes at nodes need matrices M and K, and no inputs and outputs"
         expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
-        raise wrong(settings.where, problem, None, expected)
+        hint = "give the electrodes as columns of B, or delete the other kinds of ports"
+        raise wrong(settings.where, problem, None, expected, hint)
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh):
         problem, hint = "damping is defined twice", "delete alpha and beta of the key damping"
@@ -432,7 +452,8 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
             where = settings.of(entry)
             expected = "nodes that are neither fixed nor of another port"
             problem = "an electrode shares nodes with another port or with a fixed entry"
-            raise UsageError(problem, where=where, expected=expected)
+            hint = "delete the shared nodes from one of both entries"
+            raise UsageError(problem, where=where, expected=expected, hint=hint)
         column[place], occupied[place] = 1.0, True
     u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
     KT = K @ T
@@ -440,7 +461,13 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
         expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
         got = "mass on a potential, or a positive dielectric block"
-        raise wrong(rows.where, "the rows of the potentials have an unexpected form", got, expected)
+        raise wrong(
+            rows.where,
+            "the rows of the potentials have an unexpected form",
+            got,
+            expected,
+            "export the matrices without a change of signs",
+        )
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _select_entries(E, u)}
     if loss is not None:

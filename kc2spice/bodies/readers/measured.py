@@ -242,6 +242,7 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
             where="--shunt",
             got=shunt,
             expected=expected,
+            hint="remove the minus sign" if resistance < 0 else "leave out --shunt",
         )
     return resistance
 

@@ -60,8 +60,9 @@ class NodeMesh:
         if distance[best] > (1e-6 * extent if within is None else within):
             x, y, z = self.at[best]
             expected = f"within {distance[best]:.4g} of node {self.node[best]} at "
-            expected += f"[{x:g}, {y:g}, {z:g}]: raise 'within' or correct 'at'"
-            raise wrong(where, "the mesh has no node at this point", list(place), expected)
+            expected += f"[{x:g}, {y:g}, {z:g}]"
+            hint = f"write  at = [{x:.9g}, {y:.9g}, {z:.9g}]"
+            raise wrong(where, "the mesh has no node at this point", list(place), expected, hint)
         return int(self.node[best])
 
 
@@ -80,6 +81,7 @@ def read_nodes(path: Path) -> NodeMesh:
             where=str(path),
             got=path.suffix,
             expected=_EXPECTED,
+            hint="export the mesh in one of these formats",
         )
 
     def parse_nodes(data: bytes) -> NodeMesh:

@@ -112,7 +112,8 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
         raise make_missing_error(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise make_unusable_error(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
+        hint = "save the matrices as sparse matrices"
+        raise make_unusable_error(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}", hint)
     return path
 
 
@@ -164,13 +165,17 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
     shape = tuple(map(int, shape))
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
-        raise make_unusable_error(path, what, "2 dimensions")
+        hint = f"save matrix {letter} as an array of rows and columns"
+        raise make_unusable_error(path, what, "2 dimensions", hint)
     if max(shape) > MAX_ROWS or min(shape) < 0:
         raise make_unusable_error(path, what, f"at most {MAX_ROWS} rows and columns")
     square = letter == "C" and shape[0] == shape[1]  # the damping matrix is often named C
     if letter in NARROW_MATRICES and not square and shape[0] * shape[1] > MAX_NARROW_ENTRIES:
         raise make_unusable_error(
-            path, what, f"few inputs or outputs, at most {MAX_NARROW_ENTRIES} numbers"
+            path,
+            what,
+            f"few inputs or outputs, at most {MAX_NARROW_ENTRIES} numbers",
+            f"save only the {'columns' if letter == 'B' else 'rows'} of {letter} that you need",
         )
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:

@@ -111,7 +111,9 @@ def _require_printable(value: str) -> str:
     """Require printable characters in a name, because netlists contain the name."""
     if not value.isprintable():
         raise invalid_value_error(
-            "this text is not a valid name", "printable characters in one line"
+            "this text is not a valid name",
+            "printable characters in one line",
+            hint="delete line breaks and control characters from it",
         )
     return value
 
@@ -119,7 +121,8 @@ def _require_printable(value: str) -> str:
 def _require_word(value: str) -> str:
     """Require that a unit is a single word, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
-        raise invalid_value_error("this text is not a unit", "one word")
+        hint = f"write it without blanks: {value.replace(' ', '*')}"
+        raise invalid_value_error("this text is not a unit", "one word", hint=hint)
     return value
 
 
@@ -154,7 +157,9 @@ def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, fl
     length = math.hypot(*value)
     if length == 0.0:
         raise invalid_value_error(
-            "this value is not an axis", "'x', 'y', 'z' or a direction [x, y, z]"
+            "this value is not an axis",
+            "'x', 'y', 'z' or a direction [x, y, z]",
+            hint="write for example  [0, 0, 1]",
         )
     x, y, z = (item / length for item in value)
     return x, y, z
@@ -298,7 +303,9 @@ class PortEntry(NodeSelection):
         elif self.kind in DIRECTED_KINDS and not self.weights.keys() <= {*self._directions}:
             expected = ", ".join(DOFS[k] for k in self._directions)
             raise invalid_value_error(
-                f"{DOFS[self.dof or 0]} is not a degree of freedom of a {self.kind} port", expected
+                f"{DOFS[self.dof or 0]} is not a degree of freedom of a {self.kind} port",
+                expected,
+                hint=f'write for example  dof = "{DOFS[self._directions[-1]]}"',
             )
         return self
 
@@ -322,6 +329,14 @@ class PortEntry(NodeSelection):
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 
+def _advise_damping(keys: set[str]) -> str:
+    """Advise how to make the stated keys of a damping complete."""
+    others = sorted(keys & {"alpha", "beta"})
+    if others:
+        return f"delete {' and '.join(others)}"
+    return "add  at = 1000  with a frequency in Hz" if "ratio" in keys else "add  ratio = 0.01"
+
+
 class MatrixDamping(Section):
     """Damping ``E = alpha M + beta K``; a damping ratio at a frequency [Hz] may give beta.
 
@@ -340,7 +355,9 @@ class MatrixDamping(Section):
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
             raise invalid_value_error(
-                "ratio and at must be used together, without alpha and beta", expected
+                "ratio and at must be used together, without alpha and beta",
+                expected,
+                hint=_advise_damping(keys),
             )
         return self
 

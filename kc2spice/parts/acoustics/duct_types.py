@@ -425,9 +425,17 @@ stop = "3 kHz"
         keys = part.with_schema(TubeKeys).keys
         if keys.closed and FAR_END in part.pins:
             message = "a closed tube has no pin at its end b"
-            yield part.wrong("closed", message, f"closed = true and pins.{FAR_END}", "one of both")
+            yield part.wrong(
+                "closed",
+                message,
+                f"closed = true and pins.{FAR_END}",
+                "one of both",
+                "delete closed",
+            )
         if keys.closed and keys.end_b != "none":
-            yield part.wrong("end_b", "a closed end has no fluid outside", keys.end_b, "none")
+            yield part.wrong(
+                "end_b", "a closed end has no fluid outside", keys.end_b, "none", "delete end_b"
+            )
         if keys.sections is None and self._required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(
                 f"{part.name}: the band needs {self._required_sections(part, scene)} sections, the "

@@ -167,24 +167,44 @@ class BodyModel(BodyPorts[LinearKeysT]):
         specified = part.keys.rom
         if loss_tangent(part):
             problem = "a netlist with parameters cannot contain a dielectric loss"
-            raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
+            raise wrong(
+                f"{part.name}.damping.loss_tangent",
+                problem,
+                loss_tangent(part),
+                "0",
+                "delete loss_tangent",
+            )
         if has_complex_constants(part):
             problem = "a netlist with parameters can only have viscous damping"
-            raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
+            raise wrong(
+                f"{part.name}.damping.model",
+                problem,
+                "ieee176",
+                "rayleigh",
+                'write  model = "rayleigh"',
+            )
         if self.gives_off_heat(part, scene):
             problem = "a netlist with parameters has no heat pin"
+            hint = f"delete {RANGES_KEY}, or disconnect the heat pin"
             raise wrong(
-                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none"
+                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none", hint
             )
         if scene.analysis.type == "noise":
             problem = "a netlist with parameters has no thermal noise"
+            hint = f"delete {RANGES_KEY} for this analysis"
             raise wrong(
-                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none"
+                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none", hint
             )
         ordered = target.order is not None and "order" in target.model_fields_set
         if ordered and specified is not None and specified.order:
             problem = "rom.order cannot be combined with rom.parameters"
-            raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
+            raise wrong(
+                f"{part.name}.rom.order",
+                problem,
+                target.order,
+                "rom.tolerance",
+                "delete order from rom",
+            )
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> ModelOverRanges:
@@ -380,6 +400,7 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
             "the body has no resonance at which its stiffness is defined",
             None,
             "a frequency",
+            'add  at = "1 kHz"  to damping, with a frequency of your band',
         )
     return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
 

@@ -64,6 +64,7 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
             "rom.parameters contains too many parameters",
             f"{len(ranges)}",
             f"at most {MAX_PARAMETERS}",
+            f"delete {len(ranges) - MAX_PARAMETERS} of its entries",
         )
     result = []
     for key, ends in ranges.items():
@@ -104,11 +105,14 @@ def make_varied_key(
     signed = low * high > 0 or (from_zero and low == 0)
     if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
         expected = f"two different numbers of one sign, the part's value {value:g} between"
+        around = sorted((0.9 * value, 1.1 * value))
+        hint = f"write for example  [{around[0]:g}, {around[1]:g}]" if value else None
         raise wrong(
             where or key,
             "this entry is not a valid range of a parameter",
             f"{low:g} to {high:g}",
             expected,
+            hint,
         )
     return VariedKey(key, unit, value, low, high)
 
@@ -152,7 +156,8 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         got = error.message if error.got is None else f"{error.message}: {error.got}"
         problem = "the ranges of the parameters contain values that the part cannot have"
         expected = "narrower ranges of possible parts in rom.parameters"
-        raise wrong(error.where, problem, got, expected) from None
+        hint = error.hint or f"narrow the ranges in {part.name}.{RANGES_KEY}"
+        raise wrong(error.where, problem, got, expected, hint) from None
 
 
 def _split_key(key: str) -> list[str | int]:
@@ -177,6 +182,8 @@ def _unknown_key(part: Part, key: str, where: str) -> UsageError:
     below = plain.rpartition(".")[0] + "." if "." in plain else ""
     leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
     near = did_you_mean(key, leaves) or did_you_mean(plain, known)
+    if near and not above:  # a key of an entry of a list needs the number of the entry
+        near = re.sub(r"'(layers|front|back)\.", r"'\1[0].", near)
     return wrong(where, f"{part.name} has no numeric key of this name", key, expected, near)
 
 

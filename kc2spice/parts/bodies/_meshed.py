@@ -248,13 +248,14 @@ def find_field_problems(
         if shapes:
             expected = "a transient, fields = true in ac for the shapes of modes, or false"
         problem = "a list of times in fields needs a transient analysis"
-        yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
+        yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected, "delete fields")
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop]
     if outside:
         expected = f"0 to {scene.stop:g} s"
+        hint = f"write a time from 0 to {scene.stop:g} s in its place"
         problem = "a time in fields is outside of the run"
-        yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
+        yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected, hint)
 
 
 def check_mesh(part: Part, build: Build) -> Iterator[Check]:

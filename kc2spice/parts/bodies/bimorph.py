@@ -139,7 +139,12 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     spans = [*pairwise(heights)]
     active = [k for k, one in enumerate(materials) if one.piezoelectric]
     if beam.wiring is not None and not active:
-        raise wrong("wiring", "the key wiring needs a piezoelectric layer", beam.wiring)
+        raise wrong(
+            "wiring",
+            "the key wiring needs a piezoelectric layer",
+            beam.wiring,
+            hint='delete wiring, or write  material = "PZT-5A"  for a layer',
+        )
     length, width, top = beam.length, beam.width, heights[-1]
 
     def plane(height: float) -> Box:

@@ -222,6 +222,15 @@ class PolingKeys(Section):
             return "direction and axis need a length"
         return ""
 
+    @property
+    def correction(self) -> str:
+        """Return the action that makes the keys define a poling."""
+        if self.direction is not None and self.file is not None:
+            return "delete direction or file"
+        if self.file:
+            return "delete axis and through"
+        return "write for example  direction = [0, 0, 1]"
+
 
 class AxesKeys(Section):
     """Axes of all tensors of a material; ``poling`` defines only the third axis."""
@@ -370,12 +379,16 @@ class BodyKeys(MeshKeys):
             )
         both = set(self.axes) & set(self.poling)
         if both:
-            raise ValueError(
-                f"poling and axes cannot apply to the same group: {', '.join(sorted(both))}"
+            raise invalid_value_error(
+                f"poling and axes cannot apply to the same group: {', '.join(sorted(both))}",
+                None,
+                hint=f"delete poling.{min(both)}, because axes.{min(both)}.z is its direction",
             )
         for group, item in self.poling.items():
             if isinstance(item, PolingKeys) and item.contradiction:
-                raise ValueError(f"poling of {group}: {item.contradiction}")
+                raise invalid_value_error(
+                    f"poling of {group}: {item.contradiction}", None, hint=item.correction
+                )
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
             raise invalid_value_error(

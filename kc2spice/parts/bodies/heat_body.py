@@ -186,7 +186,13 @@ def _read_solid(
         made_of = find_thermal_material(stated, f"materials.{name}")
         if keys.axisymmetric and made_of.conductivity[0] != made_of.conductivity[1]:
             problem = "a body of revolution conducts alike along its radius and around its axis"
-            raise wrong(f"materials.{name}", problem, "x and y differ", "equal values of x and y")
+            raise wrong(
+                f"materials.{name}",
+                problem,
+                "x and y differ",
+                "equal values of x and y",
+                "write the same conductivity for x and y",
+            )
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     solid = Solid(groups.mesh, (), owner, keys.axisymmetric)
     interfaces = []
@@ -243,7 +249,8 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             raise unknown("the layers have no such group", name, list(groups), where)
         result = groups[name]
         if codimensions and result.codimension not in codimensions:
-            raise wrong(where, "this group is not a face", name, "top or bottom")
+            hint = "write top or bottom in place of " + name
+            raise wrong(where, "this group is not a face", name, "top or bottom", hint)
         return result
 
     heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])

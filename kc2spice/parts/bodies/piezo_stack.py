@@ -216,11 +216,23 @@ class PiezoStack(MeshedBody[Stack]):
         transient = scene.analysis.type == "transient"
         if keys.mounting == "free" and scene.list_parts("contact") and transient:
             problem = "the mounting of the chip is free, but another part rests on the chip"
-            yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
+            yield part.wrong(
+                "mounting",
+                problem,
+                "free",
+                "roller, glued or a stiffness per area",
+                'write  mounting = "glued"',
+            )
         if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
             expected = f"before the end of the simulation, {scene.stop:g} s"
             problem = "the kick starts after the simulation ends"
-            yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
+            yield part.wrong(
+                "drive.start",
+                problem,
+                f"{drive.start:g} s",
+                expected,
+                f"lower drive.start below {scene.stop:g} s",
+            )
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
         yield from check_range(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
@@ -239,7 +251,13 @@ class PiezoStack(MeshedBody[Stack]):
         """Return the contact rings or the pressure nodes of the top face."""
         if part.keys.poling == "x":
             problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
-            raise part.wrong("poling", problem, "x", "poling = z for a stack with a contact")
+            raise part.wrong(
+                "poling",
+                problem,
+                "x",
+                "poling = z for a stack with a contact",
+                'write  poling = "z"',
+            )
         shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
@@ -507,7 +525,11 @@ def _ring_number(part: Part[Stack], name: str) -> int:
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong(
-            "", f"{part.name} has no port of this name", repr(name), f"ring0 to ring{last}"
+            "",
+            f"{part.name} has no port of this name",
+            repr(name),
+            f"ring0 to ring{last}",
+            f"write ring{last}, or raise {part.name}.mesh.rings",
         )
     return int(match[1])
 

@@ -73,7 +73,10 @@ class Stretch(PatchedPart[StretchKeys]):
         if count % keys.rows:
             problem = "the number of patches is not a multiple of the number of rows"
             got = f"{count} patches, {keys.rows} rows"
-            yield part.wrong("rows", problem, got, "an equal number of patches in each row")
+            divisors = [n for n in range(1, count + 1) if count % n == 0]
+            nearest = min(divisors, key=lambda n: abs(n - keys.rows))
+            hint = f"write  rows = {nearest}"
+            yield part.wrong("rows", problem, got, "an equal number of patches in each row", hint)
         if (keys.rows > 1) != (keys.width > 0):
             got = f"rows = {keys.rows}, width = {keys.width:g} m"
             yield part.wrong(
@@ -81,6 +84,7 @@ class Stretch(PatchedPart[StretchKeys]):
                 "rows and width must be used together",
                 got,
                 "both keys for a plate, or neither for a beam",
+                "add  width  with the width of the plate" if keys.rows > 1 else "delete width",
             )
 
 

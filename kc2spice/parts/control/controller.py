@@ -111,10 +111,17 @@ wiring = "parallel"
                 "a controller in Python needs a transient analysis",
                 kind,
                 'analysis.type = "transient"',
+                'write  type = "transient"  and  stop = "10 ms"  below [analysis]',
             )
         if not keys.inputs:
             expected = 'names of its input pins, such as inputs = ["y"]'
-            yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
+            yield part.wrong(
+                "inputs",
+                "the controller has no inputs",
+                "no input",
+                expected,
+                'add  inputs = ["y"]',
+            )
 
     def cards(self, part: Part[ControllerKeys], build: Build) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""

@@ -236,17 +236,25 @@ class Pid(PartType[Control]):
                 "all gains of the controller are zero",
                 "kp = ki = kd = 0",
                 "at least one gain above zero",
+                'write for example  kp = "100 A/m"',
             )
         times, states = zip(*keys.switching_times, strict=True)
         if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
             problem = "enable and disable times do not alternate"
             got = f"{keys.enable_at}, disabled at {keys.disable_at}"
+            hint = "delete disable_at" if keys.disable_at else "write  enable_at = 0"
             expected = "an enable time, then a disable time, and so on, all from 0 on"
-            yield part.wrong("enable_at", problem, got, expected)
+            yield part.wrong("enable_at", problem, got, expected, hint)
         if scene.analysis.type == "transient" and times[0] >= scene.stop:
             problem = "the controller starts after the simulation ends"
             expected = f"before the end of the simulation, {scene.stop:g} s"
-            yield part.wrong("enable_at", problem, f"{times[0]:g} s", expected)
+            yield part.wrong(
+                "enable_at",
+                problem,
+                f"{times[0]:g} s",
+                expected,
+                f"lower enable_at below {scene.stop:g} s",
+            )
 
     def subcircuits(
         self, part: Part[Control], build: Build, header: Header

@@ -104,7 +104,13 @@ dc = "1 um"
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "the noise of a sensor does not apply to this analysis"
-            yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
+            yield part.wrong(
+                "noise",
+                words,
+                scene.analysis.type,
+                f"{' or '.join(kinds)}, or none",
+                "delete noise",
+            )
 
     def subcircuits(
         self, part: Part[SensorKeys], build: Build, header: Header

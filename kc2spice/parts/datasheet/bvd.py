@@ -53,7 +53,9 @@ def _wrap_in_list(value: object) -> object:
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(
-                "the list is empty", "a value, or a list with one value for each mode"
+                "the list is empty",
+                "a value, or a list with one value for each mode",
+                hint="write the value of the lowest mode",
             )
         return value
     return (value,)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core import laws
+from kc2spice.core.errors import list_candidates
 from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
@@ -172,7 +173,8 @@ stop = "1 kHz"
                     f"tolerance.{name}",
                     "this tolerance belongs to a value that is missing",
                     name,
-                    f"one of {', '.join(stated)}",
+                    f"one of {list_candidates(name, stated)}",
+                    f"add {name} to the keys of {part.name}, or delete tolerance.{name}",
                 )
         has_area = any(getattr(keys, key) for key in AREA_KEYS)
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)

@@ -168,11 +168,17 @@ class Netlist(PartType[NetlistKeys]):
                 where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
                 expected=f"of {part.name}: {list_candidates(node, choices)}",
-                hint=did_you_mean(node, choices),
+                hint=did_you_mean(node, choices) or f'write  of = "{part.name}.{choices[0]}"',
             )
         for name in part.keys.ratings:
             if name not in pins:
-                yield part.wrong("ratings", "the subcircuit has no such pin", name, ", ".join(pins))
+                yield part.wrong(
+                    "ratings",
+                    "the subcircuit has no such pin",
+                    name,
+                    list_candidates(name, pins),
+                    did_you_mean(name, pins) or f"write {pins[0]} in place of {name}",
+                )
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source of small signals."""
@@ -264,10 +270,19 @@ def driver(
             "the key driver does not contain exactly one driver",
             ", ".join(drivers),
             expected,
+            f"delete the tables other than {part.name}.driver.{next(iter(drivers))}"
+            if drivers
+            else f"add the table [{part.name}.driver.{next(iter(known))}]",
         )
     ((kind, table),) = drivers.items()
     if kind not in {*known, *known.values()}:
-        raise part.wrong("driver", "this type of driver does not exist", repr(kind), expected)
+        raise part.wrong(
+            "driver",
+            "this type of driver does not exist",
+            repr(kind),
+            expected,
+            did_you_mean(kind, known) or f"write {next(iter(known))} in place of {kind}",
+        )
     selected = known.get(kind, kind)
     if selected == "netlist" and not table.get("file"):
         include = data.get("include")
@@ -314,6 +329,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
             where=".".join(map(str, (*part.at, "subckt"))),
             got=f"pins {' '.join(pins)}",
             expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",
+            hint=f"rename a pin of .subckt {part.keys.subckt} to {missing[0]}",
         )
     return pins
 

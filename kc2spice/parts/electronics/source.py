@@ -437,7 +437,10 @@ def _make_waveform(points: np.ndarray, what: str) -> Waveform:
     key = "pwl" if what == "pwl" else "file"
     if len(points) < 2:
         expected = "at least two rows of time and value"
-        raise UsageError(f"{what} has {len(points)} rows", where=key, expected=expected)
+        corner = f'["{points[0, 0] + 1e-3:g} s", {points[0, 1]:g}]' if len(points) else ""
+        hint = "add at least two rows" if not corner else f"add a second corner, such as  {corner}"
+        count = f"{len(points)} row{'' if len(points) == 1 else 's'}"
+        raise UsageError(f"{what} has {count}", where=key, expected=expected, hint=hint)
     late = np.flatnonzero(np.diff(points[:, 0]) <= 0)
     if late.size:
         first = int(late[0])
@@ -469,6 +472,7 @@ def _read_table(home: Path, name: str) -> np.ndarray:
             f"this file cannot be read: {reason}",
             where="file",
             expected="rows of two numbers: time [s], value",
+            hint="write two numbers, separated by a comma, in each line",
         ) from None
     if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a head
         rows = rows[1:]

@@ -211,8 +211,9 @@ class Gap(PatchedPart[GapKeys]):
             yield part.wrong("travel", "the stop is behind the fixed electrode", got, expected)
         if keys.shares is not None and len(ports) != len(keys.shares):
             got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
+            hint = "delete shares, so that all patches have the same area"
             yield part.wrong(
-                "shares", "the numbers of patches and of area shares differ", got, expected
+                "shares", "the numbers of patches and of area shares differ", got, expected, hint
             )
 
     def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:

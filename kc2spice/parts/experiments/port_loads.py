@@ -83,7 +83,13 @@ class PortLoads(PartType[PortLoadsKeys]):
         find_loaded_body(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
-            yield part.wrong("stop", "the frequency range is empty", got, "start < stop")
+            yield part.wrong(
+                "stop",
+                "the frequency range is empty",
+                got,
+                "start < stop",
+                f'write for example  stop = "{10 * (part.keys.start or 100):g} Hz"',
+            )
 
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
@@ -244,7 +250,13 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
         body = scene.part(part.keys.of, f"{part.name}.of")
         if not isinstance(body.keys, Stack):
             problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
-            raise part.wrong("of", problem, got, "the name of a piezo_stack")
+            stacks = [other.name for other in scene.list_parts("piezo_stack")]
+            hint = (
+                f'write  of = "{stacks[0]}"'
+                if stacks
+                else "add [kick]; an empty table takes the defaults"
+            )
+            raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
         return body.with_schema(Stack)
     result = scene.bodies
     if len(result) != 1 or not isinstance(result[0].keys, Stack):

@@ -33,6 +33,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.spectrum import find_energy_frequency
+from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import (
@@ -267,10 +268,16 @@ class MovingBody(DeclaredPart[MovingT]):
         keys = part.keys
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
-            yield part.wrong("y_min", "the range of heights is empty", got, "y_min < y_max")
+            hint = f"write  y_min = {keys.y_max:g}  and  y_max = {keys.y_min:g}"
+            hint = hint if keys.y_min > keys.y_max else "raise y_max above y_min"
+            yield part.wrong("y_min", "the range of heights is empty", got, "y_min < y_max", hint)
         if not keys.coils and not keys.magnets:
             yield part.wrong(
-                "coils", "the part has neither coils nor magnets", "{}", "tables by name"
+                "coils",
+                "the part has neither coils nor magnets",
+                "{}",
+                "tables by name",
+                f"add the table [{part.name}.coils.NAME] with radius, width, height and turns",
             )
         yield from self.shape_problems(part)
         if keys.inner >= keys.radius:
@@ -285,6 +292,7 @@ class MovingBody(DeclaredPart[MovingT]):
                     "this name of a coil is not valid",
                     name,
                     "letters, digits and _",
+                    f"write {make_identifier(name, 'coil')} in place of {name}",
                 )
             if coil.width >= 2 * coil.radius:
                 got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
@@ -303,7 +311,8 @@ class MovingBody(DeclaredPart[MovingT]):
             if not (apart or keys.y_min >= over or keys.y_max <= under):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m, of its centre of mass"
                 expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
-                yield part.wrong(where, f"the body touches the {what}", got, expected)
+                hint = f"raise {part.name}.y_min to {over:g} m"
+                yield part.wrong(where, f"the body touches the {what}", got, expected, hint)
 
     def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of coils, magnets and the moving body."""
@@ -447,7 +456,11 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong(
-                "thickness", "the thickness of the disc is missing", "none", "a length above zero"
+                "thickness",
+                "the thickness of the disc is missing",
+                "none",
+                "a length above zero",
+                'add  thickness = "1 mm"',
             )
         if keys.shape == "sphere" and (keys.inner or keys.thickness):
             got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
@@ -456,6 +469,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
                 "inner and thickness do not apply to a sphere",
                 got,
                 "a sphere without these keys",
+                'write  shape = "disc"  or delete inner and thickness',
             )
 
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:

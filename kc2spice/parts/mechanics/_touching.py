@@ -181,13 +181,19 @@ class ContactPair:
         names = {target.partition(".")[0] for target in targets}
         if len(names) != 1:
             raise part.wrong(
-                key, "the contact needs one body on each side", ", ".join(sorted(names))
+                key,
+                "the contact needs one body on each side",
+                ", ".join(sorted(names)),
+                "ports of one part",
+                f"keep only ports of {min(names)}, and add another contact for the other part",
             )
         other = scene.part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
         if (surface := find_surface(other, scene, ports)) is None:
             problem = f"{other.type.name} has no surface for a contact"
-            raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
+            fitting = [p.name for p in scene.parts.values() if find_surface(p, scene) is not None]
+            hint = f'write  {key} = "{fitting[0]}"' if fitting else "add  [mass]  to the scene"
+            raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass", hint)
         return surface
 
     @cached_property
@@ -282,7 +288,8 @@ class ContactPair:
             if side.modulus is None:
                 expected = 'a pressure such as "110 GPa", or a material of both sides'
                 problem = f"the modulus of {side.part} is not known"
-                raise self.part.wrong("modulus", problem, expected=expected)
+                hint = 'add  modulus = "110 GPa"  with the combined modulus of both materials'
+                raise self.part.wrong("modulus", problem, expected=expected, hint=hint)
             compliance += 1 / side.modulus
         return 1 / compliance
 

@@ -139,7 +139,11 @@ class Contact(DeclaredPart[ContactKeys]):
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
-            yield part.wrong("b", "both sides of the contact are the same part", got, expected)
+            others = [name for name in scene.parts if name not in (a.part, part.name)]
+            hint = f'write the name of another part, such as  b = "{(*others, "gnd")[0]}"'
+            yield part.wrong(
+                "b", "both sides of the contact are the same part", got, expected, hint
+            )
         if b.radius is not None and max(a.distance) >= b.radius:
             yield UsageError(
                 "the outermost contact ring is larger than the sphere, so the sphere can never "
@@ -147,6 +151,7 @@ class Contact(DeclaredPart[ContactKeys]):
                 where=f"{a.part}.mesh.ring_spacing",
                 got=f"ring radius {max(a.distance):g} m",
                 expected=f"less than {b.part}.radius, {b.radius:g} m",
+                hint=f"lower {a.part}.mesh.ring_spacing",
             )
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)

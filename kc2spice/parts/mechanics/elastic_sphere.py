@@ -84,17 +84,29 @@ elastic = true
         if stuff.piezoelectric:
             expected = "a material that is not piezoelectric"
             yield owner.wrong(
-                "material", "an elastic sphere cannot be piezoelectric", stuff.name, expected
+                "material",
+                "an elastic sphere cannot be piezoelectric",
+                stuff.name,
+                expected,
+                'write  material = "steel"',
             )
         if part.keys.damping.per_material:
             key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
             yield owner.wrong(
-                key, "damping per material does not apply to an elastic sphere", True, expected
+                key,
+                "damping per material does not apply to an elastic sphere",
+                True,
+                expected,
+                "delete per_material",
             )
         if part.keys.damping.model != "rayleigh":
             got, expected = part.keys.damping.model, "rayleigh"
             yield owner.wrong(
-                "elastic.damping.model", "an elastic sphere has viscous damping only", got, expected
+                "elastic.damping.model",
+                "an elastic sphere has viscous damping only",
+                got,
+                expected,
+                "delete model from damping",
             )
 
     def surface(
@@ -213,7 +225,13 @@ def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[Contac
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"
         expected = 'one, with shape = "pressure" and a body in a'
-        raise owner.wrong("elastic", "an elastic sphere needs exactly one contact", got, expected)
+        raise owner.wrong(
+            "elastic",
+            "an elastic sphere needs exactly one contact",
+            got,
+            expected,
+            "delete elastic" if not result else f"delete the contact {result[-1].name}",
+        )
     (contact,) = result
     if contact.keys.shape != "pressure":
         problem = (
@@ -229,6 +247,7 @@ def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[Contac
             "damping of the contact does not apply to an elastic sphere",
             damping,
             expected,
+            f"delete {contact.name}.damping",
         )
     return contact
 

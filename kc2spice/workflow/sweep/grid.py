@@ -147,31 +147,45 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
     if kind in ("list", "value"):
         values = list(map(partial(_parse_word, where, key), words))
     elif key.choices or (key.unit is None and (drawn or not key.integer)):
-        raise make_range_error("only numbers have such a range", name)
+        hint = f"write {name}=VALUE,VALUE" if not key.choices else (
+            f"write {name}={','.join(map(str, key.choices[:2]))}"
+        )  # fmt: skip
+        raise make_range_error("only numbers have such a range", name, hint=hint)
     elif len(words) != 3:
-        raise make_range_error(f"{kind} takes three values", ", ".join(words))
+        raise make_range_error(
+            f"{kind} takes three values", ", ".join(words), hint=f"write the three values of {kind}"
+        )
     else:
         count = words[2]
         if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
             expected = f"a whole number of points, 2 to {MAX_POINTS}"
             known = text.removesuffix(count) if text.endswith(count) else ""
-            hint = f"write {known}5 for five points" if known else None
+            hint = f"write {known}5 for five points" if known else "write 5 as last value"
             raise make_range_error("not a number of points", repr(count), expected, hint)
         a, b = map(float, map(partial(_parse_word, where, key), words[:2]))
         if kind == "normal" and b < 0:
-            raise make_range_error("a standard deviation is not negative", f"{b:g}")
+            raise make_range_error(
+                "a standard deviation is not negative",
+                f"{b:g}",
+                hint=f"write {words[1].lstrip('-')} in place of {words[1]}",
+            )
         if kind == "uniform" and b < a:
-            raise make_range_error("empty range", f"{a:g} … {b:g}")
+            hint = f"write uniform({words[1]},{words[0]},{words[2]})"
+            raise make_range_error("empty range", f"{a:g} … {b:g}", hint=hint)
         if drawn:
             return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
             raise _make_zero_crossing_error(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
         if key.integer and not all(map(float.is_integer, values)):
-            raise make_range_error("not all values are whole numbers", values[:5])
+            low, high = sorted((round(a), round(b)))
+            hint = f"write {','.join(map(str, range(low, min(high, low + 4) + 1)))}"
+            raise make_range_error("not all values are whole numbers", values[:5], hint=hint)
         values = list(map(int, values)) if key.integer else values
     if len(set(map(repr, values))) < len(values):
-        raise make_range_error("a value occurs twice", words)
+        once = list(dict.fromkeys(words))
+        hint = f"write {name}={','.join(once)}" if kind == "list" else "write two different ends"
+        raise make_range_error("a value occurs twice", words, hint=hint)
     return tuple(values)
 
 
