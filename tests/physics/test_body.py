@@ -409,7 +409,7 @@ def test_damping_of_each_material(coarse):
     ({"mesh": "absent.msh"}, "does not exist"),
     ({"mesh": "coarse.stl"}, "not a mesh or CAD file"),
     ({"groups": {"a": {"faces": [[0, 0, 0]]}}}, "only to CAD files"),
-    ({"unit": "kg"}, "wrong unit"),
+    ({"unit": "kg"}, "this text is not a unit of length"),
 ])  # fmt: skip
 def test_errors_name_the_group(coarse, changes, message):
     with pytest.raises(UsageError, match=message):

@@ -274,7 +274,7 @@ def test_noise_of_a_box_is_refused():
     scene["drive"] = {"part": "resistor", "resistance": "1 MOhm",
                       "pins": {"a": "disc.anode", "b": "gnd"}}  # fmt: skip
     scene["disc"] = {**scene["disc"], "pins": {"cathode": "gnd"}}
-    scene["analysis"] = {**BUZZER["analysis"], "type": "noise", "output": "disc.v"}
+    scene["analysis"] = {**BUZZER["analysis"], "type": "noise", "output": "disc.voltage"}
     with pytest.raises(UsageError, match="no thermal noise") as told:
         kc.deck(kc.load_scene(scene))
     assert told.value.where == "disc.rom.parameters"

@@ -77,7 +77,7 @@ def waves(loop, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def full_on_mesh():
+def varied():
     """The same loop with other keys, or ``None`` for a part that is left out."""
 
     def vary(tables=None, **keys):

@@ -83,6 +83,7 @@ def test_verify_integrates_the_coupled_equations(pins):
     assert verdict["passed"], [check for check in verdict["checks"] if not check["passed"]]
 
 
+@pytest.mark.slow
 def test_verify_fails_if_the_resistance_follows_another_temperature(monkeypatch):
     make = coils.make_law
     hotter = partial(make, temperature_coefficient=1.2 * COPPER)

@@ -87,6 +87,7 @@ def test_a_misspelt_metric_of_a_sweep_leaves_no_files(cli):
     assert cli("sweep", *swept, "--metric", name).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_sphere_beyond_the_table_names_the_voltage_and_leaves_no_files(cli):
     done = cli("run", "kick_and_catch", "--set", "kick.drive.voltage=300")
     found = rows(done.stderr[done.stderr.index("kc2spice: error") :])
