@@ -7,6 +7,7 @@ import difflib
 import itertools
 import re
 import shlex
+from collections.abc import Sequence
 from importlib import resources
 from itertools import chain
 from typing import Any
@@ -107,9 +108,47 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
     return UsageError(error.message, where=param.opts[0], got=got, hint=f"{hint} lists its values")
 
 
+def _convert_to_hertz(words: Sequence[str]) -> list[str]:
+    """Return frequencies such as ``20k`` as numbers in Hz; empty if one is no frequency."""
+    from kc2spice.core.quantities import quantity  # imported here, because it takes long to load
+
+    with contextlib.suppress(UsageError):
+        ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
+        return [f"{end:.12g}" for end in ends]
+    return []
+
+
 def _join_typed_line(command: Any, typed: list[str]) -> str:
     """Return the command line as typed."""
     return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
+
+
+# Options of this program with the meaning of options of other programs.
+_OPTION_SYNONYMS = {
+    "--format": ("--dialect",),
+    "--simulator": ("--dialect",),
+    "--output": ("--out",),
+    "--dir": ("--out",),
+    "--folder": ("--out",),
+    "-o": ("--out",),
+    "--param": ("--set",),
+    "--parameter": ("--set",),
+    "--key": ("--set",),
+    "--override": ("--set",),
+    "-p": ("--set",),
+    "--jobs": ("--workers",),
+    "--threads": ("--workers",),
+    "-j": ("--workers",),
+    "-n": ("--workers",),
+    "--states": ("--order",),
+    "--size": ("--order",),
+    "--accuracy": ("--tolerance", "--error"),
+    "--tol": ("--tolerance", "--error"),
+    "--range": ("--band",),
+    "--frequency": ("--band",),
+    "--silent": ("--quiet",),
+    "--force": ("--trust",),
+}
 
 
 def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError:
@@ -117,7 +156,9 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
     expected = f"one of {list_candidates(name, options, f'{line} --help')}"
-    hint = did_you_mean(name, options) or f"{line} --help describes all options"
+    hint = did_you_mean(name, options) or f"leave out {name}; {line} --help describes all options"
+    same = next(filter(options.__contains__, _OPTION_SYNONYMS.get(name, ())), None)
+    hint = f"write {same} in place of {name}" if same else hint
     where = line.removeprefix(PROGRAM).strip() or None
     return UsageError(
         "this option does not exist", where=where, got=name, expected=expected, hint=hint
@@ -141,6 +182,9 @@ def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageE
     count = param.nargs
     problem = "the value is missing" if count == 1 else f"this option needs {count} values"
     hint = f"write {param.metavar} behind {name}, or leave out {name}"
+    parts = re.split(r"[-,:…]+|\.\.+", words[0]) if len(words) == 1 and count > 1 else []
+    if len(parts) == count and all(parts):
+        hint = f"write {name} {' '.join(_convert_to_hertz(parts) or parts)}"
     return UsageError(problem, where=name, got=got, expected=expected, hint=hint)
 
 
@@ -225,11 +269,8 @@ def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -
             hint = f"write {name} {float(share) / 100:.12g}"
         return UsageError(problem, where=name, got=wrong, expected=expected, hint=hint)
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
-    with contextlib.suppress(UsageError):
-        from kc2spice.core.quantities import quantity
-
-        ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
-        hint = " ".join(["write", name, *(f"{end:.12g}" for end in ends)])
+    if ends := _convert_to_hertz(words):
+        hint = " ".join(["write", name, *ends])
     return UsageError(
         "this value is not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint
     )

@@ -233,6 +233,10 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
             for leaf in leaves
             if len(plain) >= MIN_FRAGMENT_LENGTH and plain in _normalise_word(leaf)
         ][:1]
+    if not near:  # a longer form of a name, such as topelectrode for topel
+        near = [
+            leaf for leaf in leaves if len(leaf) >= MIN_FRAGMENT_LENGTH and last.startswith(leaf)
+        ][:1]
     return f"did you mean {leaves[near[0]]!r}?" if near else None
 
 

@@ -232,6 +232,8 @@ def _explain_invalid(
             example = f"[{one}]"
             if isinstance(entered, str) and entered in _AXIS_VECTORS:
                 example = _AXIS_VECTORS[entered]
+            elif isinstance(entered, (int, float, str)) and full_path[-1] == "band":
+                example = f"[0, {_format_entries([entered])[1:-1]}]"  # a band begins at 0 Hz
             elif isinstance(entered, str) and isinstance(full_path[-1], str):
                 example = f'["{entered}"]'
             hint = f"write  {_assign(full_path, example)}" if keys is None else (
@@ -366,6 +368,15 @@ _CHOICE_SYNONYMS = {
     "clamp": "clamped",
     "over": "above",
     "top": "above",
+    "power": "heat_flow",
+    "heatpower": "heat_flow",
+    "soundpressure": "pressure",
+    "flow": "volume_velocity",
+    "volumeflow": "volume_velocity",
+    "position": "displacement",
+    "moment": "torque",
+    "v": "voltage",
+    "i": "current",
     "under": "below",
     "bottom": "below",
     "fixed": "clamped",
@@ -425,6 +436,19 @@ _KEY_SYNONYMS = {
     "modulus": ("youngs_modulus",),
     "nu": ("poisson_ratio",),
     "delay": ("start",),
+    "td": ("start",),
+    "v1": ("low",),
+    "v2": ("high",),
+    "tr": ("edge",),
+    "tf": ("edge",),
+    "rise": ("edge",),
+    "fall": ("edge",),
+    "risetime": ("edge",),
+    "falltime": ("edge",),
+    "pw": ("width",),
+    "ton": ("width",),
+    "per": ("period",),
+    "ncycles": ("count",),
     "duration": ("stop", "width"),
     "end": ("stop",),
     "tstop": ("stop",),
@@ -810,6 +834,14 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         with contextlib.suppress(ValueError):
             _parse_quantity(f"{begun[1]} {symbol}", si)
             return f'write  "{begun[1]} {symbol}"'
+    if begun is not None and (celsius := re.search("°C|℃|degC", begun[2])):
+        if begun[2] == celsius[0]:
+            rise = "the difference from the ambient temperature in K"
+            return f'write {rise}, such as  "{begun[1]} K"  for a rise of {begun[1]} °C'
+        text = f"{begun[1]} {begun[2].replace(celsius[0], 'K')}"
+        with contextlib.suppress(ValueError):
+            _parse_quantity(text, si)
+            return f'write  "{text}"'
     # a prefix in place of the decimal point, as on drawings of circuits: 4k7
     if split := re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", value.strip()):
         prefix = "" if split[2] in "RΩ" else split[2]

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError
@@ -79,6 +80,8 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
             f"characters, and tables and arrays nested at most {MAX_NESTING} deep",
             hint=f"shorten {label} until it is within these limits",
         )
+    if (other := _make_other_format_error(text, label)) is not None:
+        return other
     # Only the first part of a long line is searched, because the time of a search grows with the
     # square of the length.
     lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
@@ -104,6 +107,35 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
         got=_quote_line(lines, number),
         expected='[TABLE], or KEY = VALUE with text between double quotes, such as "1 kOhm"',
         hint=f"write line {number} in one of these two forms",
+    )
+
+
+_NETLIST_CARD = re.compile(r"(?im)^\.(tran|ac|dc|op|end|ends|subckt|model|include|lib)\b")
+# Endings of files of other formats, their names, and the action.
+_OTHER_FORMATS = {
+    ".json": ("JSON", "write each object as a table [NAME], and each entry as  KEY = VALUE"),
+    ".yaml": ("YAML", "write each block as a table [NAME], and each entry as  KEY = VALUE"),
+    ".yml": ("YAML", "write each block as a table [NAME], and each entry as  KEY = VALUE"),
+    ".py": ("a Python program", "run it with  python FILE"),
+}
+
+
+def _make_other_format_error(text: str, label: str) -> UsageError | None:
+    """Return the error of a netlist or of a file of another format; None for other files."""
+    name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
+    if not name and _NETLIST_CARD.search(text):
+        name = "a SPICE netlist"
+        action = (
+            f'write a scene that contains the netlist as  part = "netlist"  and  file = "{label}"'
+            "; the built-in scene bring_your_own is an example"
+        )
+    if not name:
+        return None
+    return UsageError(
+        f"this file is {name}, not a scene",
+        where=label,
+        expected="a TOML file with a table for each part",
+        hint=action.replace("FILE", label),
     )
 
 

@@ -202,6 +202,8 @@ def find_length_unit(path: Path, unit: str | None) -> float:
         except UsageError as error:
             near = re.search(r'"1 (\w+)"', error.hint or "")
             hint = f'write  unit = "{near[1] if near else "mm"}"'
+            if str(unit).lower() in _IMPERIAL_UNITS:
+                hint = f'export the mesh in millimetres, and write  unit = "mm"  in place of {unit}'
             problem = "this text is not a unit of length"
             accepted = f"one of {', '.join(LENGTH_UNITS_ACCEPTED)}"
             raise wrong("unit", problem, repr(unit), accepted, hint) from error
@@ -217,6 +219,9 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     problem = f"a {path.suffix} file does not state its unit of length"
     hint = 'add  unit = "mm"  below mesh, if the size in mm is right'
     raise wrong("unit", problem, f"{in_millimetres(1.0)} in that unit", ", ".join(sizes), hint)
+
+
+_IMPERIAL_UNITS = ("in", "inch", "inches", "mil", "mils", "thou", "ft", "feet")
 
 
 def measure_extent(path: Path) -> np.ndarray:

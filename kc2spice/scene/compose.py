@@ -8,14 +8,14 @@ different names.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from operator import attrgetter
 from string import ascii_lowercase
 from typing import Any
 
-from kc2spice.core.domains import ELECTRICAL, Domain
+from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.frames import find_frames
 from kc2spice.scene.model import GROUND, Build, BuildRecord, NameAllocator, Part, Scene, Terminal
@@ -95,6 +95,20 @@ def _with_nets(scene: Scene) -> Scene:
     return scene
 
 
+# Names of the first and the second pin of a part with two pins in other programs.
+_FIRST_PINS = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
+_SECOND_PINS = ("n", "m", "minus", "neg", "negative", "2", "-", "cathode", "ground", "gnd", "com")
+
+
+def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
+    """Suggest the pin of a part with two pins that has the name ``typed`` in other programs."""
+    if len(pins) >= 2:
+        for names, pin in ((_FIRST_PINS, pins[0]), (_SECOND_PINS, pins[1])):
+            if typed.lower() in names:
+                return f"write {pin} in place of {typed}"
+    return None
+
+
 def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Yield the joins of a part: pin, target, and the key that states the join.
 
@@ -105,7 +119,9 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
         if pin not in names:
-            raise unknown(f"{part.type.name} has no such pin", pin, sorted(names), where)
+            advice = _suggest_pin(pin, [terminal.name for terminal in scene.pins(part.name)])
+            message = f"{part.type.name} has no such pin"
+            raise unknown(message, pin, sorted(names), where, advice=advice)
         yield pin, target, where
     joins = scene.joins[part.name]
     for pin, target in joins.items():
@@ -173,6 +189,13 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             pin in scene.parts[a[0]].pins for pin in ends if pin != a[1]
         )
         suggested = choices[0] if choices and not joined else GROUND
+        hint = f'write  {a[1]} = "{suggested}"'
+        source = next((pin[0] for pin in (a, b) if scene.parts[pin[0]].type.name == "source"), None)
+        other = second if source == a[0] else first
+        kinds = [name for name, (domain, side) in QUANTITIES.items()
+                 if domain.units == (other.unit, other.flow)]  # fmt: skip
+        if source == a[0] and kinds:
+            hint = f'write  kind = "{kinds[-1]}"  in [{source}], with values in its unit'
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
@@ -180,7 +203,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
             if choices
             else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
-            hint=f'write  {a[1]} = "{suggested}"',
+            hint=hint,
         )
 
 

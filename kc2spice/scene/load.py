@@ -353,6 +353,7 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
         "or a table with part = TYPE",
         hint=did_you_mean(name, SceneKeys.model_fields)
         or (f"write {name} below [analysis]" if name in Analysis.model_fields else None)
+        or (f"delete {name}: ngspice computes at 27 °C" if name.startswith("temp") else None)
         or did_you_mean(name, part_keys)
         or below,
     )
@@ -363,6 +364,25 @@ def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
     kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
+
+
+# Part types of this program, keyed by names of other programs without blanks and signs.
+_PART_TYPE_SYNONYMS = {
+    "r": "resistor", "res": "resistor", "c": "capacitor", "cap": "capacitor", "l": "inductor",
+    "ind": "inductor", "coil": "inductor", "v": "source", "i": "source", "vsource": "source",
+    "isource": "source", "voltagesource": "source", "currentsource": "source",
+    "battery": "source", "force": "source", "d": "diode", "speaker": "loudspeaker",
+    "quartz": "crystal", "buzzer": "disc", "unimorph": "disc", "k": "spring", "dashpot": "damper",
+    "subckt": "netlist", "spice": "netlist", "subcircuit": "netlist", "x": "netlist",
+    "mesh": "body", "fem": "body", "solid": "body", "pipe": "tube", "volume": "cavity",
+}  # fmt: skip
+
+
+def _suggest_part_type(typed: object) -> str | None:
+    """Suggest the part type with the meaning of a name of another program."""
+    word = "".join(filter(str.isalnum, str(typed).lower()))
+    kind = _PART_TYPE_SYNONYMS.get(word)
+    return f'write  part = "{kind}"' if kind in type_names() else None
 
 
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
@@ -388,7 +408,8 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
             type_names(),
             f"{name}.part",
             PARTS_COMMAND,
-            advice=f"run {PARTS_COMMAND}, which lists all types; "
+            advice=_suggest_part_type(selected)
+            or f"run {PARTS_COMMAND}, which lists all types; "
             "docs/how-to/own_part.md describes types of your own",
         )
     return result

@@ -56,6 +56,7 @@ from kc2spice.rom.parametric_model_files import (
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import MAX_POLE_STATES, prove_stability
 from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.circuit_error import require_circuit
@@ -576,12 +577,22 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
     The result is None if ``text`` is a path.
     """
     name, colon, part_name = text.rpartition(":")
+    if not colon and text in list_gallery() and not any(Path().glob(f"{text}[._]*")):
+        bodies = _list_bodies(load_scene(text))
+        raise UsageError(
+            "this is a scene, not a model",
+            got=repr(text),
+            expected="SCENE:PART with a part that has a linear model",
+            hint=f"kc2spice reduce {text}:{bodies[0]}"
+            if bodies
+            else f"kc2spice export {text} writes the netlists of all parts",
+        )
     if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):
         return None
     scene = load_scene(name)
     part = scene.part(part_name, where=text)
     if not isinstance(part.type, LinearBody):
-        bodies = [p.name for p in scene.parts.values() if isinstance(p.type, LinearBody)]
+        bodies = _list_bodies(scene)
         raise UsageError(
             "this part has no linear model",
             where=text,
@@ -596,6 +607,11 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
     return replace(
         restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)
     )
+
+
+def _list_bodies(scene: Scene) -> list[str]:
+    """Return the names of the parts of a scene with linear models."""
+    return [part.name for part in scene.parts.values() if isinstance(part.type, LinearBody)]
 
 
 def require_stable(record: dict[str, Any]) -> None:

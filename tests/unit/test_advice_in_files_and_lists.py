@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support import Clock, build_models, material, parse_toml
+from support import Clock, build_models, did_you_mean, material, parse_toml
 
 import kc2spice as kc
 
@@ -328,3 +328,119 @@ def test_values_of_a_sweep(cli, values, advice):
     done = cli("sweep", "duffing", "--set", values)
     assert done.exit_code == 2
     assert rows_of_error(done.stderr)["next"] == advice
+
+
+RESISTOR = """[battery]
+part = "source"
+dc = "10 V"
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+pins = { a = "battery.out" }
+[analysis]
+type = "op"
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "otherwise", "advice"),
+    [
+        ('part = "resistor"', 'part = "R"', 'write  part = "resistor"'),
+        ('{ a = "battery.out" }', '{ p = "battery.out" }', "write a in place of p"),
+        ('dc = "10 V"', 'pulse = { v1 = 0, high = 5, width = "1 ms" }', "write low in place of v1"),
+        ("[battery]", "temperature = 27\n[battery]", "delete temperature"),
+    ],
+)
+def test_words_of_spice_in_a_scene(cli, line, otherwise, advice):
+    Path("own.toml").write_text(RESISTOR.replace(line, otherwise))
+    found = rows_of_error(cli("run", "own.toml").stderr)
+    assert found["next"].startswith(advice)
+    write_scene(RESISTOR.replace(line, otherwise))
+    for wrong, right in (('"R"', '"resistor"'), ("{ p =", "{ a ="), ("v1", "low"),
+                         ("temperature = 27\n", "")):  # fmt: skip
+        write_scene(Path("right.toml").read_text().replace(wrong, right))
+    kc.load_scene("right.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "head", "advice"),
+    [
+        ("own.json", '{"battery": {"part": "source"}}', "this file is JSON", "[NAME]"),
+        ("own.yaml", "battery:\n  part: source\n", "this file is YAML", "[NAME]"),
+        ("amp.cir", "* t\nV1 a 0 1\n.op\n.end\n", "a SPICE netlist", 'file = "amp.cir"'),
+        ("plot.py", "import kc2spice\n", "a Python program", "python plot.py"),
+    ],
+)
+def test_a_file_of_another_format_as_scene(cli, name, text, head, advice):
+    Path(name).write_text(text)
+    found = rows_of_error(cli("run", name).stderr)
+    assert head in found["head"]
+    assert advice in found["next"]
+
+
+@pytest.mark.parametrize(
+    ("words", "advice"),
+    [
+        (("export", "duffing", "--format", "ltspice"), "write --dialect in place of --format"),
+        (("run", "duffing", "--output", "d"), "write --out in place of --output"),
+        (("sweep", "duffing", "--set", "mass.mass=1 g..2 g"), "write 1 g:2 g:5"),
+        (("reduce", "m.npz", "--band", "0-20k"), "write --band 0 20000"),
+        (("reduce", "duffing"), "kc2spice export duffing writes the netlists of all parts"),
+        (("reduce", "buzzer_noise"), "kc2spice reduce buzzer_noise:disc"),
+    ],
+)
+def test_words_of_other_programs_on_the_command_line(cli, words, advice):
+    done = cli(*words)
+    assert done.exit_code == 2
+    assert rows_of_error(done.stderr)["next"] == advice
+    if advice.startswith("write --") and "in place" in advice:
+        right, wrong = advice.split()[1], advice.split()[-1]
+        assert cli(*(right if word == wrong else word for word in words)).exit_code == 0
+
+
+def test_a_measurement_without_rows(cli):
+    Path("m.csv").write_text("frequency_hz,re_ohm,im_ohm\n1,2,3\n")
+    found = rows_of_error(cli("reduce", "m.csv").stderr)
+    assert found["next"].startswith("export one line of numbers for each point")
+
+
+HEATED = """[s]
+part = "source"
+kind = "heat_flow"
+dc = "1 W"
+pins = { out = "r.a" }
+[r]
+part = "thermal_resistor"
+resistance = "20 K/W"
+[analysis]
+type = "op"
+"""
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "advice"),
+    [
+        ('"20 K/W"', '"20 °C/W"', 'write  "20 K/W"'),
+        ('kind = "heat_flow"', 'kind = "power"', 'write  kind = "heat_flow"'),
+        ('kind = "heat_flow"\n', "", 'write  kind = "heat_flow"  in [s], with values in its unit'),
+        ('kind = "heat_flow"\ndc = "1 W"', 'kind = "temperature"\ndc = "85 °C"',
+         "write the difference from the ambient temperature in K"),
+    ],
+)  # fmt: skip
+def test_heat_in_other_words(cli, right, wrong, advice):
+    assert HEATED.count(right) == 1
+    Path("own.toml").write_text(HEATED.replace(right, wrong).replace('"1 W"', "1"))
+    assert rows_of_error(cli("run", "own.toml").stderr)["next"].startswith(advice)
+    kc.load_scene(write_scene(HEATED))
+
+
+def test_a_band_with_one_end():
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene("buzzer_noise", ["disc.rom.band=10 kHz"])
+    assert caught.value.hint == 'write  band = [0, "10 kHz"]'
+    kc.load_scene("buzzer_noise", ['disc.rom.band=[0, "10 kHz"]'])
+
+
+def test_a_longer_form_of_a_name():
+    assert did_you_mean("topelectrode", ["topel", "root"]) == "did you mean 'topel'?"
+    assert did_you_mean("rooster", ["top", "roo"]) is None

@@ -144,7 +144,8 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
         hint = "in MATLAB: save(..., '-v7')"
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
         reason = _reword(" ".join(str(error).split()))[:160] or type(error).__name__
-        message, hint = f"this file cannot be read: {reason}", advice
+        message = f"this file cannot be read: {reason}"
+        hint = getattr(error, "advice", advice)
     raise UsageError(message, where=str(path), expected=expected, hint=hint)
 
 

@@ -51,6 +51,15 @@ MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 
 
+class ShortTableError(ValueError):
+    """Text without a table; ``advice`` is the next action."""
+
+    advice = (
+        "export one line of numbers for each point, below titles such as  "
+        "frequency_hz,real_ohm,imag_ohm"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class TextTable(EqualByContent):
     """Columns of ``numbers`` (n,) under ``titles``.
@@ -105,7 +114,7 @@ def read_tables(text: str) -> list[TextTable]:
             raise ValueError("the file is empty")
         below = f", below the first line {first[:40]!r}"
         fewest = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
-        raise ValueError(f"{fewest}{below}{_describe_word(lines)}")
+        raise ShortTableError(f"{fewest}{below}{_describe_word(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
         table = _build_table(lines, run, end, separator)

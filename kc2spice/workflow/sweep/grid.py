@@ -53,6 +53,9 @@ class RandomSample:
 # --- one range ------------------------------------------------------------------------------------
 
 
+_DOTTED_RANGE = re.compile(r"(\d[^.…]*(?:\.\d[^.…]*)?)\s*(?:\.\.+|…| to )\s*([-+]?\d.*)")
+
+
 def _make_zero_crossing_error(text: str) -> UsageError:
     """Return the error of a logarithmic range whose ends have different signs."""
     return UsageError(
@@ -105,6 +108,14 @@ def split_range(text: str) -> tuple[str, list[str]]:
         if kind == "log" and any(map(_ZERO_NUMBER.match, words[:2])):
             raise _make_zero_crossing_error(text)
         return kind, words
+    if ends := _DOTTED_RANGE.fullmatch(text):
+        raise UsageError(
+            "this text is not a value",
+            where="--set",
+            got=repr(text),
+            expected="VALUE, VALUE,VALUE or FIRST:LAST:POINTS",
+            hint=f"write {ends[1]}:{ends[2]}:5",
+        )
     words = _split_words(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
 
