@@ -817,6 +817,11 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     return result
 
 
+# a range such as 1 g:2 g:5, or a list such as 1 g,2 g
+_SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
+                             r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
+
+
 def _suggest_spelling(value: object, si: str) -> str | None:
     """Suggest a correction of a decimal comma, or of a missing or misspelt unit."""
     from difflib import get_close_matches  # imported here, because most values need no correction
@@ -826,6 +831,9 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         return f"write the value without brackets: {inner}"
     if not isinstance(value, str):
         return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+    if several := _SEVERAL_VALUES.match(value):
+        first = (several[1] or several[2]).strip()
+        return f'write one value, such as  "{first}"; kc2spice sweep accepts a range or a list'
     if len(value) > _MAX_QUANTITY_LENGTH:
         return f"write a number of at most {_MAX_QUANTITY_LENGTH} characters"
     begun = _NUMBER.fullmatch(value.rstrip())

@@ -123,7 +123,7 @@ _OTHER_FORMATS = {
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
     """Return the error of a netlist or of a file of another format; None for other files."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
-    if not name and _NETLIST_CARD.search(text):
+    if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name = "a SPICE netlist"
         action = (
             f'write a scene that contains the netlist as  part = "netlist"  and  file = "{label}"'

@@ -103,6 +103,13 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
             expected="a netlist that kc2spice export or kc2spice run wrote",
             hint=f"kc2spice run {path} runs a scene",
         )
+    if not path.exists():
+        raise UsageError(
+            "this file does not exist",
+            where=str(path),
+            expected="the path of a netlist",
+            hint=f"kc2spice export {original.name}  writes a deck of this scene to edit",
+        )
     result = read_checked_circuit(path, trust=original.trusted)
     cards = list(result.cards(title=True))
     check_deck_effects(cards, part=False)
@@ -120,7 +127,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         max_step=_read_max_step(original, analysis),
         command=Command(original.command.kind, tuple(analysis.words[1:])),
     )
-    _require_results(original.scope, deck, path)
+    _require_results(original.scope, deck, path, original.name)
     return DeckEdits(
         deck,
         _compare_options(original, cards),
@@ -207,7 +214,7 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
     return literal_value(words[3], where=analysis.where)
 
 
-def _require_results(before: Scope, edited: Deck, path: Path) -> None:
+def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -> None:
     """Reject a deck that lacks nodes or devices of the scene's results.
 
     Raises
@@ -221,7 +228,7 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
     if not missing:
         return
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
-    hint = "use the names of nodes and devices of the deck that kc2spice export writes"
+    hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
     absent = list(filter(None, map(sources.get, map(str.lower, missing))))
     if absent:
         node = absent[0].nodes[0]

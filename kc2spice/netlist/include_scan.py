@@ -158,9 +158,14 @@ class _Reader:
                 "more than one word" if rest and result is None else explain_unsafe_name(target)
             )
             if reason:
-                raise make_forbidden_line_error(
+                error = make_forbidden_line_error(
                     f"includes a file whose name is not allowed: {reason}", self.main, where, raw
                 )
+                plain = make_plain_name(re.split(r"[\\/]", target)[-1])
+                if plain and reason != "more than one word":
+                    error.hint = f"copy the file beside {self.main.name}, and write  "
+                    error.hint += f".include {plain}"
+                raise error
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
@@ -226,6 +231,10 @@ _OTHER_FORMATS = {
 }
 
 
+# marks of encrypted models of PSpice and LTspice
+_ENCRYPTION = re.compile(rb"(?im)^\s*(\$CDNENCSTART|\*+\s*LTspice Encrypted|\.prot(ect)?\b)")
+
+
 def _require_netlist_format(data: bytes, where: str) -> None:
     """Reject files of other programs, binary files, and text in UTF-16.
 
@@ -233,6 +242,13 @@ def _require_netlist_format(data: bytes, where: str) -> None:
     ------
     UsageError : the file is not a netlist; the message contains its format.
     """
+    if _ENCRYPTION.search(data):
+        raise UsageError(
+            "this netlist is encrypted",
+            where=where,
+            expected="a text file with a SPICE netlist",
+            hint="ask the manufacturer for a model without encryption",
+        )
     for start, (kind, action) in _OTHER_FORMATS.items():
         if data[:20].lstrip().lower().startswith(start.lower()):
             expected = "a text file with a SPICE netlist"
@@ -241,21 +257,32 @@ def _require_netlist_format(data: bytes, where: str) -> None:
         raise make_encoding_error(data, where)
 
 
+_NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
+
+
 def _is_missing(path: Path) -> bool:
-    """Return whether no file ``path`` exists; False for names that no file can have."""
+    """Return whether ``path`` is no file; False for names that no file can have."""
     try:
-        return not path.exists()
+        return not path.is_file()
     except (OSError, ValueError):
         return False
 
 
 def make_missing_netlist_error(path: Path) -> UsageError:
-    """Return the error for the missing netlist file ``path`` of a part."""
+    """Return the error for the netlist ``path`` of a part, which is missing or a directory."""
     try:
         names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
     except OSError:
         names = []
     near = did_you_mean(path.name, [name for name in names if not name.endswith(".toml")])
+    if path.is_dir():
+        inside = sorted(item.name for item in path.glob("*.*") if item.suffix in _NETLIST_SUFFIXES)
+        return UsageError(
+            "this path is a directory, not a netlist",
+            where=path.name,
+            expected="a file of subcircuits in the folder of the scene",
+            hint=f'write the path of a file in it, such as  "{(*inside, "NAME.lib")[0]}"',
+        )
     return UsageError(
         "this netlist file does not exist",
         where=path.name,
@@ -317,6 +344,8 @@ _OUTPUT_COMMANDS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".m
 _FUNCTION_LINE = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+[A-Za-z]*")
 _ASSIGNED_COMMA = re.compile(r"=\s*([+-]?\d+,\d+[A-Za-z]*)(?=[\s)]|$)")
+_PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_SCALE_FACTOR = re.compile(r"(t|g|meg|k|m|u|µ|n|p|f)?(ohm|ohms|f|farad|h|henry)?", re.IGNORECASE)
 _LAPLACE_LAW = re.compile(r"(?i)(?<![\w.])laplace\s*[={(]")
 _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and functions"
 
@@ -347,6 +376,9 @@ def _find_deck_effects(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield each effect of a card on the whole deck, with the expected content and a remedy."""
     key, options = card.keyword, accuracy_options((card,))
+    if parts := _find_separate_suffix(card):
+        hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
+        yield "has a blank between a number and its unit", "a number without blanks", hint
     if number := _find_decimal_comma(card):
         hint = f"write {number.replace(',', '.')} in place of {number}"
         yield f"has a comma in the number {number}", "a number with a decimal point", hint
@@ -384,6 +416,19 @@ def _find_deck_effects(
     if outside and again:
         hint = "rename it, or put it into the .subckt that uses it"
         yield "defines a built-in name for the whole deck", "a name of its own", hint
+
+
+def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
+    """Return a number and the scale factor or unit behind a blank; None without such a number.
+
+    The simulator reads the scale factor as the name of a model.
+    """
+    words = card.words
+    if card.keyword[:1] not in ("r", "c", "l") or len(words) < 5:
+        return None
+    number, suffix = words[3], words[4]
+    separate = _PLAIN_NUMBER.fullmatch(number) and _SCALE_FACTOR.fullmatch(suffix)
+    return (number, suffix) if separate else None
 
 
 def _find_decimal_comma(card: Statement) -> str:

@@ -444,3 +444,58 @@ def test_a_band_with_one_end():
 def test_a_longer_form_of_a_name():
     assert did_you_mean("topelectrode", ["topel", "root"]) == "did you mean 'topel'?"
     assert did_you_mean("rooster", ["top", "roo"]) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "head", "advice"),
+    [
+        ("R3 in out 1 k", "a blank between a number and its unit", "write 1k in place of 1 k"),
+        ('.include "C:/lib/opamp.lib"', "an absolute path",
+         "copy the file beside amp.lib, and write  .include opamp.lib"),
+        ("$CDNENCSTART", "this netlist is encrypted", "ask the manufacturer"),
+        ("** LTspice Encrypted File", "this netlist is encrypted", "ask the manufacturer"),
+    ],
+)  # fmt: skip
+def test_lines_of_models_of_manufacturers(refusal, line, head, advice):
+    found = refusal(amplifier=AMPLIFIER.replace("R1", f"{line}\nR1", 1))
+    assert head in found["head"]
+    assert found["next"].startswith(advice)
+
+
+def test_a_resistor_with_a_model_is_accepted(cli):
+    Path("own.toml").write_text(SCENE)
+    Path("amp.lib").write_text(
+        AMPLIFIER.replace("R2", ".model rm R(TC1=1e-3)\nR3 in out 1k rm\nR2")
+    )
+    kc.load_scene("own.toml")
+
+
+def test_a_directory_as_netlist(refusal):
+    Path("models").mkdir()
+    Path("models/amp.lib").write_text(AMPLIFIER)
+    found = refusal(SCENE.replace("amp.lib", "models"))
+    assert "own.toml, line 7, key amp.file: this path is a directory" in found["head"]
+    assert '"amp.lib"' in found["next"]
+
+
+@pytest.mark.parametrize("values", ["1 g:2 g:3", "1 g,2 g"])
+def test_several_values_of_a_run(cli, values):
+    done = cli("run", "duffing", "--set", f"mass.mass={values}")
+    assert rows_of_error(done.stderr)["next"].startswith('write one value, such as  "1 g"')
+    swept = ("--set", f"mass.mass={values}", "--workers", "1")
+    assert cli("sweep", "duffing", *swept).exit_code == 0
+
+
+def test_a_deck_that_is_missing_or_of_another_scene(cli):
+    found = rows_of_error(cli("run", "duffing", "--deck", "no.cir").stderr)
+    assert found["next"] == "kc2spice export duffing  writes a deck of this scene to edit"
+    Path("d.cir").write_text("* t\nV1 a 0 1\n.tran 1u 1m\n.end\n")
+    found = rows_of_error(cli("run", "duffing", "--deck", "d.cir").stderr)
+    assert found["next"] == "edit a copy of the deck that  kc2spice export duffing  writes"
+
+
+def test_a_missing_model_file_has_a_similar_name(cli):
+    Path("beam.npz").write_bytes(b"")
+    found = rows_of_error(cli("reduce", "baem.npz").stderr)
+    assert found["next"] == "did you mean 'beam.npz'?"
+    assert rows_of_error(cli("reduce", "z.csv").stderr)["next"] == "copy z.csv into this folder"

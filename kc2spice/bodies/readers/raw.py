@@ -23,6 +23,7 @@ import re
 import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -31,7 +32,7 @@ import numpy as np
 from scipy import io, sparse
 
 from kc2spice.core import untrusted_files
-from kc2spice.core.errors import Kc2spiceError, UsageError
+from kc2spice.core.errors import Kc2spiceError, UsageError, did_you_mean
 from kc2spice.core.untrusted_files import call_in_child
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
@@ -96,9 +97,13 @@ def is_file(path: Path) -> bool:
 def make_missing_error(path: Path, what: str) -> UsageError:
     """Make the error for a file that does not exist; ``what`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
-    return UsageError(
-        "this file does not exist", where=where, expected=what, hint="give the path of a file"
-    )
+    names: list[str] = []
+    with suppress(OSError, ValueError):
+        names = sorted(item.name for item in path.parent.iterdir())
+    hint = did_you_mean(path.name, names) or f"copy {path.name} into the folder {path.parent}"
+    if path.parent == Path():
+        hint = hint.replace("the folder .", "this folder")
+    return UsageError("this file does not exist", where=where, expected=what, hint=hint)
 
 
 def require_file(path: Path, what: str = "a model in this file") -> Path:

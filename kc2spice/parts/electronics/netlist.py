@@ -306,7 +306,10 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     try:
         known = _read_subcircuits(file, scene.home, _modification_time(part, scene)).pins
     except UsageError as error:
-        if error.where == Path(file).name:  # the whole file, not one of its lines
+        if error.where in (
+            Path(file).name,
+            (scene.home / file).name,
+        ):  # the whole file, not one of its lines
             error.where, error.got = f"{part.name}.file", error.got or repr(file)
         raise
     pins = known.get(part.keys.subckt.lower())
