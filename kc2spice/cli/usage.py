@@ -68,6 +68,15 @@ class CheckedCommands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+# Commands of this program with the meaning of commands of other programs.
+_COMMAND_SYNONYMS = {
+    "simulate": "run", "sim": "run", "start": "run", "solve": "run", "plot": "run",
+    "netlist": "export", "write": "export", "convert": "export", "test": "verify",
+    "check": "verify", "validate": "verify", "optimize": "fit", "list": "scenes", "ls": "scenes",
+    "examples": "scenes", "compress": "reduce", "mor": "reduce", "version": "--version",
+}  # fmt: skip
+
+
 def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
     """Make the error of an unknown command."""
     error = unknown("this command does not exist", name, commands, command=f"{PROGRAM} --help")
@@ -75,6 +84,8 @@ def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
     near = difflib.get_close_matches(name, commands, n=1)
     if near:
         error.hint = f"did you mean {near[0]!r}?"
+    elif name in _COMMAND_SYNONYMS:
+        error.hint = f"write {PROGRAM} {_COMMAND_SYNONYMS[name]} in place of {PROGRAM} {name}"
     else:
         known = name.endswith(".toml") or scene.is_file()
         error.hint = (

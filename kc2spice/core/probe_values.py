@@ -231,7 +231,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
         where=where,
         got=f"{place:g}",
         expected=expected,
-        hint="write a place within this range, or extend the analysis",
+        hint=f"write for example  {where.rpartition('.')[2]} = {float(scale.max()):g}",
     )
 
 

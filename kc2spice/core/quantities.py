@@ -198,7 +198,11 @@ def _explain_invalid(
         case "string_type":
             return "not a text", "a text in quotes", f'for example  {full_path[-1]} = "NAME"'
         case "int_type":
-            hint = f"for example  {full_path[-1]} = 10"
+            typed = details["input"]
+            if isinstance(typed, float) and math.isfinite(typed) and abs(typed) < 1e9:
+                hint = f"write  {full_path[-1]} = {max(round(typed), 1)}"
+            else:
+                hint = f"for example  {full_path[-1]} = 10"
             return "not a whole number", "a whole number, without quotes", hint
         case "dict_type" if isinstance(details["input"], (list, tuple)):
             return (
@@ -215,7 +219,10 @@ def _explain_invalid(
                 hint = f'write  [{full_path[0]}]  and below it  {text_key} = "{details["input"]}"'
             if not isinstance(details["input"], (Mapping, list)) and len(full_path) > 1:
                 hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
-                if isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
+                if isinstance(full_path[-1], int):
+                    example = _write_entry(_find_schema(schema, (*path, "")), details["input"])
+                    hint = f"write  {_assign(full_path, example)}"
+                elif isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
                     hint = f'write  {full_path[-1]} = {{ {key} = "{details["input"]}" }}'
                 elif key := _find_value_key(schema, path, details["input"]):
                     value = _format_toml(details["input"])
@@ -351,6 +358,13 @@ _CHOICE_SYNONYMS = {
     "last": "final",
     "end": "final",
     "splmax": "spl",
+    "modal": "ac",
+    "eigenfrequency": "ac",
+    "eigenmodes": "ac",
+    "sp": "ac",
+    "smallsignal": "ac",
+    "octave": "log",
+    "oct": "log",
     "tran": "transient",
     "time": "transient",
     "timedomain": "transient",
@@ -523,6 +537,22 @@ def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
     """Return the field of the key at ``path``; numbers of list entries are ignored."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
+
+
+def _write_entry(schema: type[BaseModel], typed: object) -> str:
+    """Write an example of a table with the required keys; a text is the value of its first text."""
+    entries, text = [], typed if isinstance(typed, str) else None
+    for name, field in schema.model_fields.items():
+        if not field.is_required():
+            continue
+        unit = find_unit(field)
+        value = f'"{_suggest_quantity(schema, (name,), unit)}"' if unit else (
+            _KEY_EXAMPLES.get(name, "VALUE")
+        )  # fmt: skip
+        if text is not None and not unit:
+            value, text = f'"{text}"', None
+        entries.append(f"{name} = {value}")
+    return f"{{ {', '.join(entries) or 'KEY = VALUE'} }}"
 
 
 def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
@@ -702,7 +732,10 @@ _UNIT_WORDS = {
     "millimeter": "mm", "micrometer": "um", "micron": "um", "second": "s", "sec": "s", "volt": "V",
     "ampere": "A", "amp": "A", "ohm": "Ohm", "farad": "F", "henry": "H", "newton": "N",
     "pascal": "Pa", "watt": "W", "joule": "J", "kelvin": "K", "tesla": "T", "hertz": "Hz",
-    "percent": "%",
+    "percent": "%", "liter": "l", "litre": "l", "milliliter": "ml", "millilitre": "ml",
+    "kilohm": "kOhm", "kiloohm": "kOhm", "megohm": "MOhm", "microfarad": "uF", "nanofarad": "nF",
+    "picofarad": "pF", "kilohertz": "kHz", "megahertz": "MHz", "millisecond": "ms",
+    "microsecond": "us", "millivolt": "mV", "kilovolt": "kV", "milliampere": "mA",
 }  # fmt: skip
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
 # Units outside of the SI, with their value and SI unit. Values of NIST SP 811, appendix B.
@@ -863,7 +896,8 @@ def _suggest_spelling(value: object, si: str) -> str | None:
             _parse_quantity(text, si)
             return f'write  "{text}"'
     power = re.fullmatch(r"(m)([23])", si)
-    if begun is not None and power and _parse_unit(begun[2]) == _parse_unit(f"{begun[2][:-1]}m"):
+    length = begun is not None and _parse_unit(begun[2])
+    if begun is not None and power and length and length == _parse_unit(f"{begun[2][:-1]}m"):
         return f'write  "{begun[1]} {begun[2]}{power[2]}"'  # a length in place of an area
     if begun is not None:
         factor, foreign = _FOREIGN_UNITS.get(begun[2], (0.0, ""))

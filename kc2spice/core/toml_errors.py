@@ -89,6 +89,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     known = _make_duplicate_error(lines, number, str(error), label) or _make_inline_table_error(
         lines, number, label
     )
+    known = known or _make_incomplete_error(lines, number, label)
     if known is not None:
         return known
     reached = _find_error_position(text, str(error))
@@ -353,6 +354,27 @@ _REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...]
     _repair_brackets,
     _repair_backslash,
 )
+
+
+_ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
+
+
+def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
+    """Return the error of a key without a value, or of tables in braces in place of brackets."""
+    for place in (number, number - 1):
+        start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
+        if start is None:
+            continue
+        if not start[2]:
+            problem, hint = "the value of this key is missing", f"write a value behind {start[1]} ="
+        elif place < len(lines) and lines[place].lstrip().startswith("{"):
+            problem = "a list of tables needs square brackets"
+            hint = f"write  {start[1]} = [  in line {place}, and  ]  in place of the last }}"
+        else:
+            continue
+        got = _quote_line(lines, place)
+        return UsageError(problem, where=f"{label}, line {place}", got=got, hint=hint)
+    return None
 
 
 def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:

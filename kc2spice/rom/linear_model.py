@@ -443,7 +443,8 @@ class LinearModel:
         known = [p.name for p in self.ports]
         for name in names:
             if name not in known:
-                raise unknown("the model has no such port", name, known, self.name)
+                advice = f"write {known[0]} in place of {name}" if known else None
+                raise unknown("the model has no such port", name, known, self.name, advice=advice)
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)

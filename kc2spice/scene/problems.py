@@ -332,7 +332,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
             where=where,
             got=got,
             expected=expected,
-            hint="write a value within this range, or extend the analysis",
+            hint=f"write for example  {where.rpartition('.')[2]} = {last:g}",
         )
 
 

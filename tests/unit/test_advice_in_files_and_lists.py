@@ -499,3 +499,61 @@ def test_a_missing_model_file_has_a_similar_name(cli):
     found = rows_of_error(cli("reduce", "baem.npz").stderr)
     assert found["next"] == "did you mean 'beam.npz'?"
     assert rows_of_error(cli("reduce", "z.csv").stderr)["next"] == "copy z.csv into this folder"
+
+
+BEAM = """[b]
+part = "bimorph"
+length = "20 mm"
+width = "4 mm"
+layers = [{ material = "PZT-5A", thickness = "1 mm" }, { material = "steel", thickness = "1 mm" }]
+[s]
+part = "source"
+ac = "1 V"
+pins = { out = "b.anode" }
+[analysis]
+type = "ac"
+stop = "1 kHz"
+"""
+LAYERS = BEAM.splitlines()[4]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "advice"),
+    [
+        (LAYERS, 'layers = ["PZT-5A", "steel"]',
+         'write  { material = "PZT-5A", thickness = "100 um" }  as entry 1 of layers'),
+        (LAYERS, LAYERS.replace("[", "{\n").replace("]", "\n}"),
+         "write  layers = [  in line 5, and  ]  in place of the last }"),
+        ('width = "4 mm"', "width =", "write a value behind width ="),
+        ('width = "4 mm"', 'width = "4 mm"\nmesh = { refine = 1.6 }', "write  refine = 2"),
+        ('type = "ac"', 'type = "modal"', 'write  type = "ac"'),
+        ("[analysis]", '[probes.x]\nof = "b.current"\nat = "1 MHz"\n[analysis]',
+         "write for example  at = 1000"),
+    ],
+)  # fmt: skip
+def test_lists_values_and_choices_of_a_beam(cli, right, wrong, advice):
+    assert BEAM.count(right) == 1
+    Path("own.toml").write_text(BEAM.replace(right, wrong))
+    assert rows_of_error(cli("run", "own.toml").stderr)["next"] == advice
+
+
+def test_contradictory_values_name_the_value_to_delete():
+    """1/qts = 1/qes + 1/qms: 0.9 would need a negative qms, 4 gives qts = 0.3636."""
+    speaker = {"part": "loudspeaker", "re": "6 Ohm", "fs": "40 Hz", "qes": 0.4, "qms": 4,
+               "vas": "40 l", "sd": "200 cm2", "pins": {"plus": "s.out"}}  # fmt: skip
+    scene = {"s": {"part": "source", "ac": "1 V"}, "analysis": {"type": "ac", "stop": "1 kHz"}}
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene(scene | {"m": speaker | {"qts": 0.9}})
+    assert caught.value.hint == "delete qts, which follows from the other values"
+    kc.load_scene(scene | {"m": speaker})
+
+
+def test_a_command_of_another_program(cli):
+    found = rows_of_error(cli("simulate", "duffing").stderr)
+    assert found["next"] == "write kc2spice run in place of kc2spice simulate"
+
+
+def test_litres_in_words():
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.load_scene("loudspeaker_vented", ["box.volume=40 liter"])
+    assert caught.value.hint == 'write  "40 l"'

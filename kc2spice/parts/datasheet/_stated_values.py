@@ -255,6 +255,11 @@ class StatedValues:
             name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))
             for name, rest in implied.items()
         }
+        changes = {
+            name: abs(rest._logarithm(name, rest._fitted_unknowns) - math.log(self.stated[name]))
+            for name, rest in implied.items()
+        }
+        redundant = min(changes, key=changes.__getitem__)
         stated = [self.text(name, self.stated[name]) for name in (key, other)]
         return UsageError(
             f"{key} contradicts {other}",
@@ -262,7 +267,7 @@ class StatedValues:
             got=" and ".join(stated),
             expected=f"{texts[key]}, which follows from {other} and the other values, or "
             f"{texts[other]}, which follows from {key} and the other values",
-            hint=f"correct or delete one of the two values, or state the tolerance of {key}",
+            hint=f"delete {redundant}, which follows from the other values",
         )
 
 
