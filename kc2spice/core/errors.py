@@ -175,6 +175,8 @@ def unknown(
     if hint is None and choices:
         listed = command is not None and len(choices) > MAX_CANDIDATES
         hint = f"see {command}, which lists all names" if listed else "write one of these names"
+        if len(choices) == 1:
+            hint = f"write {choices[0]} in place of {name}"
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=hint)
 
 

@@ -855,6 +855,11 @@ _SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
                              r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
 
 
+def _abbreviate_prefix(match: re.Match[str]) -> str:
+    """Return the symbol of a prefix in words."""
+    return "u" if match[1] == "micro" else match[1][0]
+
+
 def _suggest_spelling(value: object, si: str) -> str | None:
     """Suggest a correction of a decimal comma, or of a missing or misspelt unit."""
     from difflib import get_close_matches  # imported here, because most values need no correction
@@ -920,9 +925,11 @@ def _suggest_spelling(value: object, si: str) -> str | None:
     if _parse_unit(begun[2]) is not None:
         return f'write  "{begun[1]} {si}"  if the value is in {si}' if si else f"write {begun[1]}"
     units = [f"{prefix}{si}" for prefix in ("", *_PREFIX)]
-    near = get_close_matches(begun[2], units, 1, 0.7)
+    lower = {unit.lower(): unit for unit in reversed(units)}
+    # a prefix in words or in another letter case: 1 micro F, 1 KOhm
+    typed = re.sub(r"^(micro|milli|kilo|nano|pico)\s*", _abbreviate_prefix, begun[2]).lower()
+    near = [lower[typed]] if typed in lower else get_close_matches(begun[2], units, 1, 0.7)
     if not near:  # another letter case: kh for kHz
-        lower = {unit.lower(): unit for unit in reversed(units)}
         near = [lower[unit] for unit in get_close_matches(begun[2].lower(), lower, 1, 0.7)]
     if near or not si:
         return f'write  "{begun[1]} {near[0]}"' if near else f"write {begun[1]}"

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support import Clock, build_models, did_you_mean, material, parse_toml
+from support import Clock, build_models, did_you_mean, material, parse_toml, quantity
 
 import kc2spice as kc
 
@@ -557,3 +557,33 @@ def test_litres_in_words():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene("loudspeaker_vented", ["box.volume=40 liter"])
     assert caught.value.hint == 'write  "40 l"'
+
+
+@pytest.mark.parametrize(
+    ("typed", "unit", "advice"),
+    [
+        ("1 KOhm", "Ohm", "1 kOhm"),
+        ("1 micro F", "F", "1 uF"),
+        ("1 MHZ", "Hz", "1 MHz"),
+        ("1 milli H", "H", "1 mH"),
+    ],
+)
+def test_prefixes_in_words_and_in_another_letter_case(typed, unit, advice):
+    with pytest.raises(kc.errors.UsageError) as caught:
+        quantity(typed, unit)
+    assert caught.value.hint == f'write  "{advice}"'
+    quantity(advice, unit)
+
+
+@pytest.mark.parametrize(
+    ("data", "advice"),
+    [
+        ("0,0,1\n1,1,1\n", "delete all columns except time and value"),
+        ("RIFF1234WAVE", "export the waveform as a CSV file"),
+        ("0;0\n1;1\n", "separate the numbers by a comma"),
+    ],
+)
+def test_a_waveform_file_of_another_form(refusal, data, advice):
+    Path("wave.csv").write_text(data)
+    found = refusal(CHARGED.replace('pwl = [[0, 0], ["1 ms", 5]]', 'file = "wave.csv"'))
+    assert found["next"].startswith(advice)

@@ -477,11 +477,16 @@ def _read_table(home: Path, name: str) -> np.ndarray:
     if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a head
         rows = rows[1:]
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        hint = "separate the numbers by a comma, and write decimal points"
+        if rows.ndim == 2 and rows.shape[1] > 2:
+            hint = "delete all columns except time and value"
+        elif b"RIFF" in data[:4] or b"\0" in data[:100]:
+            hint = "export the waveform as a CSV file, with one line  TIME,VALUE  for each point"
         raise UsageError(
             "this file is not a table of two columns",
             where="file",
             expected="rows of two numbers: time [s], value",
-            hint="separate the numbers by a comma, and write decimal points",
+            hint=hint,
         )
     return rows
 
