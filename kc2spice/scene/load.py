@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
+from kc2spice.core.part_type_synonyms import PART_TYPE_SYNONYMS
 from kc2spice.core.quantities import (
     clip_text,
     describe_invalid,
@@ -366,22 +367,10 @@ def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
     return [".".join((name, *path)) for path, _ in keys]
 
 
-# Part types of this program, keyed by names of other programs without blanks and signs.
-_PART_TYPE_SYNONYMS = {
-    "r": "resistor", "res": "resistor", "c": "capacitor", "cap": "capacitor", "l": "inductor",
-    "ind": "inductor", "coil": "inductor", "v": "source", "i": "source", "vsource": "source",
-    "isource": "source", "voltagesource": "source", "currentsource": "source",
-    "battery": "source", "force": "source", "d": "diode", "speaker": "loudspeaker",
-    "quartz": "crystal", "buzzer": "disc", "unimorph": "disc", "k": "spring", "dashpot": "damper",
-    "subckt": "netlist", "spice": "netlist", "subcircuit": "netlist", "x": "netlist",
-    "mesh": "body", "fem": "body", "solid": "body", "pipe": "tube", "volume": "cavity",
-}  # fmt: skip
-
-
 def _suggest_part_type(typed: object) -> str | None:
     """Suggest the part type with the meaning of a name of another program."""
     word = "".join(filter(str.isalnum, str(typed).lower()))
-    kind = _PART_TYPE_SYNONYMS.get(word)
+    kind = PART_TYPE_SYNONYMS.get(word)
     return f'write  part = "{kind}"' if kind in type_names() else None
 
 
