@@ -189,7 +189,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
         raise problem
     scene = resolve(_with_default_drive(scene))
     implausible = apply_check_action(check_drive_levels(scene), scene.checks.plausible)
-    start_errors = find_start_errors(scene, scene.rests)
+    start_errors = find_start_errors(scene, scene.equilibrium_conditions)
     for problem in chain(check_periods(scene), start_errors, implausible):
         raise problem
     return scene

@@ -519,8 +519,8 @@ class Scene(WiredScene):
         return first if self.source.overrides_key(first) else second
 
     @property
-    def rests(self) -> dict[str, EquilibriumConditions]:
-        """Equilibrium conditions of each part before models are built, keyed by part name."""
+    def equilibrium_conditions(self) -> dict[str, EquilibriumConditions]:
+        """Equilibrium conditions that are known before models are built, keyed by part name."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -631,16 +631,18 @@ class Build:
 
     @property
     def vectors(self) -> dict[str, Vector]:
-        """Results of all parts, keyed by name."""
+        """ngspice vectors of the results of all parts, keyed by result name."""
         result: dict[str, Vector] = {}
         for record in self.records.values():
             result |= record.vectors
         return result
 
     @property
-    def rests(self) -> dict[str, EquilibriumConditions]:
-        """Equilibrium conditions of each part, keyed by part name."""
-        return self.scene.rests | {name: record.rest for name, record in self.records.items()}
+    def equilibrium_conditions(self) -> dict[str, EquilibriumConditions]:
+        """Equilibrium conditions after models are built, keyed by part name."""
+        return self.scene.equilibrium_conditions | {
+            name: record.rest for name, record in self.records.items()
+        }
 
     def facts(self, part: Part) -> Mapping[str, float]:
         """Return the characteristic values of a part's model, as in ``result.json``."""
@@ -896,10 +898,11 @@ class PartType(Generic[KeysT]):
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name.
+        """Return the ngspice vectors of the part's results, keyed by result name.
 
-        A result is a :class:`Vector`: an expression of voltages and currents of the netlist, with a
-        factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read these results.
+        Each result is a :class:`Vector`: an expression of voltages and currents of the netlist,
+        with a factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read these
+        results.
         """
         return {}
 

@@ -32,13 +32,13 @@ class FloatingNets:
 
 
 def find_floating_nets(
-    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+    scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> tuple[FloatingNets, ...]:
     """Return the groups of floating nets, in the order of the scene.
 
     Parts without a model are treated as clamps.
     """
-    return tuple(_describe_group(group, scene) for group in _floating_groups(scene, rests))
+    return tuple(_describe_group(group, scene) for group in _floating_groups(scene, conditions))
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
@@ -47,13 +47,13 @@ def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
     The source named ``without`` is ignored. A net that no ideal source connects to another net is a
     separate group.
     """
-    rests = scene.rests
-    rests.pop(without, None)
-    return _group_nets(scene, ((name, rest.ideal) for name, rest in rests.items()))
+    conditions = scene.equilibrium_conditions
+    conditions.pop(without, None)
+    return _group_nets(scene, ((name, rest.ideal) for name, rest in conditions.items()))
 
 
 def find_start_errors(
-    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+    scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[UsageError]:
     """Yield the errors that prevent the start of the analysis.
 
@@ -63,19 +63,19 @@ def find_start_errors(
 
     Parts without a model are treated as elastic clamps.
     """
-    for group in _floating_groups(scene, rests):
+    for group in _floating_groups(scene, conditions):
         floating = _describe_group(group, scene)
         find = _position_errors if floating.domain.has_position else _storage_errors
-        yield from find(floating, group, scene, rests)
+        yield from find(floating, group, scene, conditions)
     if scene.analysis.type == "transient":
-        yield from _list_velocity_jump_errors(scene, rests)
+        yield from _list_velocity_jump_errors(scene, conditions)
 
 
 def _floating_groups(
-    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+    scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[frozenset[str]]:
     """Yield groups of nets without a path to their reference."""
-    groups = _group_nets(scene, ((name, rest.paths) for name, rest in rests.items()))
+    groups = _group_nets(scene, ((name, rest.paths) for name, rest in conditions.items()))
     return (group for group in groups if "0" not in group)
 
 
@@ -83,13 +83,15 @@ def _position_errors(
     result: FloatingNets,
     group: frozenset[str],
     scene: Scene,
-    rests: Mapping[str, EquilibriumConditions],
+    conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
     """Yield errors about floating positions without an operating point."""
     kind, path = scene.analysis.type, result.domain.path_to_reference
-    heavy = [name for name, rest in rests.items() if rest.inertial_pins and name in result.parts]
+    heavy = [
+        name for name, rest in conditions.items() if rest.inertial_pins and name in result.parts
+    ]
     part_name = (*result.bodies, *heavy, *result.parts)[0]
-    pushed = _list_loads(group, scene, rests)
+    pushed = _list_loads(group, scene, conditions)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
@@ -119,11 +121,11 @@ def _position_errors(
 
 
 def _list_loads(
-    group: frozenset[str], scene: Scene, rests: Mapping[str, EquilibriumConditions]
+    group: frozenset[str], scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> list[str]:
     """Return the parts that apply a constant force or flow to these nets at t = 0."""
     result = []
-    for name, rest in rests.items():
+    for name, rest in conditions.items():
         if not group.isdisjoint(scene.nets_of(name, rest.loaded_pins)):
             result.append(name)
     return result
@@ -133,7 +135,7 @@ def _storage_errors(
     result: FloatingNets,
     group: frozenset[str],
     scene: Scene,
-    rests: Mapping[str, EquilibriumConditions],
+    conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
     """Yield errors about floating temperatures or pressures without an operating point.
 
@@ -143,7 +145,7 @@ def _storage_errors(
     """
     kind, domain = scene.analysis.type, result.domain
     losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
-    pushed = list(dict.fromkeys([*_list_loads(group, scene, rests), *losses]))
+    pushed = list(dict.fromkeys([*_list_loads(group, scene, conditions), *losses]))
     if kind not in ("op", "dc") and not pushed:
         return
     ends = (key for key, terminal in scene.terminals.items() if terminal.domain is domain)
@@ -163,14 +165,14 @@ def _storage_errors(
 
 
 def _list_velocity_jump_errors(
-    scene: Scene, rests: Mapping[str, EquilibriumConditions]
+    scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[UsageError]:
     """Yield an error for each initial displacement that makes the velocity of a mass jump."""
     inert: dict[str, str] = {}
-    for name, rest in rests.items():
+    for name, rest in conditions.items():
         inert |= dict.fromkeys(scene.nets_of(name, rest.inertial_pins), name)
     inert.pop("0", None)
-    for name, rest in rests.items():
+    for name, rest in conditions.items():
         if not rest.jump_key:
             continue
         part = scene.parts[name]

@@ -75,9 +75,9 @@ def make_deck(build: Build) -> Deck:
         libraries have one name; no source has the swept key; or the scene has no operating point.
     """
     scene = build.scene
-    for problem in find_start_errors(scene, build.rests):
+    for problem in find_start_errors(scene, build.equilibrium_conditions):
         raise problem
-    loose = find_floating_nets(scene, build.rests)
+    loose = find_floating_nets(scene, build.equilibrium_conditions)
     require_probed_results(build)
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))

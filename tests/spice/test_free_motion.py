@@ -28,6 +28,20 @@ def test_a_free_mass_keeps_its_velocity(tmp_path):
         np.testing.assert_allclose(found["box.v"], 1.0, rtol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("keys", "start"),
+    [({}, (-MASS * G, 0.0)), ({"position": 2e-6}, (2e-6, 0.0)), ({"velocity": 3e-3}, (0.0, 3e-3))],
+)
+def test_one_stated_start_makes_the_other_zero(keys, start, tmp_path):
+    """Without both keys, the mass begins in the equilibrium ``-m g / k`` of its spring."""
+    spring = {"part": "spring", "stiffness": 1.0, "pins": {"a": "box.a"}}
+    steps = {"solver": {"stop": 10e-6, "max_step": 1e-6}}
+    tables = {"box": BOX | {"weight": True} | keys, "spring": spring, "seen": SEEN, **steps}
+    for found in ran(tables, tmp_path):
+        first = found["box.x"][0], found["box.v"][0]
+        np.testing.assert_allclose(first, start, rtol=1e-6, atol=1e-12)
+
+
 @pytest.mark.parametrize("shape", [{"sine": {"frequency": 1e3}}, {"pwl": [[0, 0], [1, 1e-6]]}])
 def test_a_jump_of_velocity_is_refused_where_nothing_yields(shape):
     table = {"part": "source", "kind": "displacement", "pins": {"out": "box.a"}}

@@ -116,7 +116,7 @@ def test_part_types_read_nothing_beyond_their_stage(name, monkeypatch):
     assert narrow > 100
     assert scene.nets == expected.nets
     assert scene.numerics == expected.numerics
-    assert scene.rests == expected.rests
+    assert scene.equilibrium_conditions == expected.equilibrium_conditions
 
 
 def test_a_contact_has_one_pair_of_surfaces(monkeypatch, tmp_path):

@@ -48,13 +48,15 @@ class MassKeys(Section):
     position: Length = Field(
         0.0,
         description=(
-            "Position at t = 0; by default the equilibrium position, or 0 for a free mass"
+            "Position at t = 0, by default 0. Without position and velocity, a mass with a support "
+            "begins in equilibrium"
         ),
     )
     velocity: Velocity = Field(
         0.0,
         description=(
-            "Velocity at t = 0; by default the equilibrium velocity, or 0 for a free mass"
+            "Velocity at t = 0, by default 0. Without position and velocity, a mass with a support "
+            "begins in equilibrium"
         ),
     )
 
@@ -183,7 +185,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         if scene.analysis.type == "transient" and scene.initial_states:
             return state
         net = scene.nets[part.name, "a"]
-        groups = find_floating_nets(scene, build.rests)
+        groups = find_floating_nets(scene, build.equilibrium_conditions)
         group = next((group for group in groups if net in group.nets), None)
         if group is None or group.bodies:
             return None
