@@ -99,6 +99,24 @@ def test_damaged_rows_are_named(row, tmp_path):
     with pytest.raises(UsageError, match=r"rows\.sqlite") as caught:
         RowStore(path, 2, "d")
     assert caught.value.exit_code == 2
+    assert "damaged, or is not the results file" in caught.value.message
+    if row[0]:
+        expected = f"point '{row[0]}', but the sweep has the points 0 to 1"
+        assert caught.value.got == expected
+
+
+@pytest.mark.parametrize(
+    "cause",
+    ["attempt to write a readonly database", "unable to open database file", "disk I/O error"],
+)
+def test_a_file_that_cannot_be_written_is_not_called_damaged(cause, tmp_path, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise sqlite3.OperationalError(cause)
+
+    monkeypatch.setattr(sqlite3, "connect", refuse)
+    with pytest.raises(UsageError, match="this file cannot be written") as caught:
+        RowStore(tmp_path / "rows", 2, "d")
+    assert caught.value.got == cause
 
 
 def test_yield_has_the_exact_binomial_interval():

@@ -32,6 +32,8 @@ create table if not exists sweep (digest text);
 create table if not exists row (point integer primary key, outcome text);
 commit;
 """
+# words in messages of SQLite if it cannot write to a file
+_WRITE_FAILURES = ("readonly", "unable to open", "is full", "I/O error")
 _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
 
@@ -61,19 +63,19 @@ class RowStore:
                 self._rows.execute("insert into sweep values (?)", (digest,))
             for point, text in self._rows.execute("select * from row") if stored == digest else ():
                 if point not in range(points):
-                    raise ValueError(f"point {str(point)[:80]!r}")
+                    raise ValueError(
+                        f"point {str(point)[:80]!r}, but the sweep has the points 0 to {points - 1}"
+                    )
                 self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
-            hint = "remove it: what it held is run again"
-            message = (
-                "this file is damaged or cannot be written, because it does not contain "
-                "the rows of this sweep"
-            )
+            message = "this file is damaged, or is not the results file of this sweep"
+            hint = "delete this file; the sweep then computes its points again"
             if "locked" in str(error):
-                message, hint = (
-                    "another sweep is writing to this directory",
-                    "wait for it, or choose another",
-                )
+                message = "another sweep is writing to this directory"
+                hint = "wait until the other sweep ends, or choose another --out"
+            elif any(cause in str(error) for cause in _WRITE_FAILURES):
+                message = "this file cannot be written"
+                hint = "check the permissions and the free space of the directory"
             got = str(error).splitlines()[0][:200]
             raise UsageError(message, where=str(path), got=got, hint=hint) from None
         if stored not in (None, digest):
