@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     pass
 INPUT_LEAK = 1e-18  # S, at a signal input, so that an input without a source is zero
 LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
-# Entries of D outside the diagonal are rounding errors below this share of the diagonal entries.
+# An entry of D below this fraction of the largest entry in its row counts as a rounding error.
 CROSS_ROUNDING = 1e-13
 # Value of C B, relative to its terms, below which it counts as zero. Otherwise the rate of an
 # output would jump with an input.
@@ -386,12 +386,15 @@ class OutputLaws:
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
         if jump.any() or at_once.any():
             raise UsageError(
-                "an acceleration port acts on states without inertia, so its force depends on "
-                "derivatives of inputs, which netlists do not support",
+                "the force at an acceleration port would depend on derivatives of inputs, because "
+                "the port acts on states without inertia; netlists do not support this",
                 where=t.label,
-                got="C B not zero in the row of the port",
-                expected="C B = 0 in the row of an acceleration port",
-                hint="set the rows of B and C of the states without inertia to zero",
+                got="a nonzero entry of C B in the row of the port"
+                if jump.any()
+                else "an output of the port that jumps with an input",
+                expected="an acceleration port that acts only on states with inertia",
+                hint="set the rows of B and the columns of C that belong to states without inertia "
+                "to zero",
             )
         rate = MICRO * row @ states.A
         force = -(rate @ states.B)

@@ -5,7 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import Check, did_you_mean, name_arguments, name_options, quantity, require_passed
+from support import (
+    Check,
+    LinearModel,
+    Port,
+    UsageError,
+    did_you_mean,
+    name_arguments,
+    name_options,
+    quantity,
+    require_passed,
+    subcircuit,
+)
 
 import kc2spice as kc
 
@@ -385,3 +396,24 @@ def test_a_missing_mesh_file_and_an_unknown_unit(cli):
     Path("u.msh").write_text(MESH.read_text())
     Path("own.toml").write_text(scene.replace('"mm"', '"millimetre"'))
     assert rows(cli("run", "own.toml").stderr)["next"] == 'write  unit = "mm"'
+
+
+@pytest.mark.parametrize(
+    ("losses", "cause"),
+    [([0.1, 0.1], "a nonzero entry of C B"), ([0.1, 0.0], "an output of the port that jumps")],
+)
+def test_an_acceleration_port_without_its_massless_states_has_a_netlist(losses, cause):
+    """The second state has no mass. With the input u, it has ``d x2' + 2 x2 = x1 + u``."""
+    ports = (Port("base", "acceleration"), Port("tip", "mechanical"))
+    K, B = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.array([[-1.0, 0.0], [-1.0, 1.0]])
+
+    def write(B, C):
+        matrices = {"M": np.diag([1.0, 0.0]), "E": np.diag(losses), "K": K}
+        return subcircuit(LinearModel(**matrices, B=B, C=C, ports=ports), "frame")
+
+    with pytest.raises(UsageError, match="derivatives of inputs") as caught:
+        write(B, B.T)
+    assert caught.value.got.startswith(cause)
+    assert "set the rows of B and the columns of C" in caught.value.hint
+    B[1] = 0.0
+    write(B, B.T)
