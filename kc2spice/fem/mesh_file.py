@@ -168,7 +168,7 @@ def read_mesh(
         if cad:
             expected = 'a length such as "1 mm"'
             hint = 'add for example  size = "1 mm"'
-            problem = "the element size is missing, which a CAD file needs"
+            problem = "a CAD file needs an element size"
             raise wrong("size", problem, expected=expected, hint=hint)
         problem = f"size has no effect on a {path.suffix} file, which contains elements already"
         raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")

@@ -245,8 +245,12 @@ def require_unv_elements(data: bytes, where: str) -> None:
             if nodes != UNV_NODES.get(kind, nodes):
                 got = f"an element of type {kind} with {nodes} nodes"
                 expected = f"{UNV_NODES[kind]} nodes"
-                hint = "write elements of first order or with nodes on corners and edges only"
-                raise wrong(where, "an element is not one of UNV files", got, expected, hint)
+                hint = (
+                    "export linear elements, or quadratic elements with nodes on corners and "
+                    "edges only"
+                )
+                problem = "the number of nodes does not match the UNV element type"
+                raise wrong(where, problem, got, expected, hint)
             more = -(-nodes // 8) + (kind in UNV_BEAMS)
             list(islice(lines, more))
 

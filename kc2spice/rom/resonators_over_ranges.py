@@ -152,8 +152,8 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     Raises
     ------
     UsageError : the model is not a symmetric second-order model with proportional damping and
-        collocated ports; the cells of the mesh change within the ranges; or a port moves the body
-        without stiffness in a band from 0 Hz.
+        collocated ports; the cells of the mesh change within the ranges; or the band begins at 0 Hz
+        and a port can move the body as a rigid body.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_facts(task.full)
@@ -261,7 +261,7 @@ def make_resonators(
 
     Raises
     ------
-    UsageError : a port moves the body without stiffness in a band from 0 Hz.
+    UsageError : the band begins at 0 Hz, and a port can move the body as a rigid body.
     SimulationError : no common basis is accurate enough over the parameter ranges for the
     tolerance.
     """
@@ -356,10 +356,9 @@ class _ModesOverRanges:
         self.moved = any(map(self._is_moved, points))
         if self.moved and band[0] <= 0:
             raise UsageError(
-                "a model with parameters of a body without a support needs a band that begins "
-                "above 0 Hz",
+                "if a body has parameters but no support, its band must begin above 0 Hz",
                 where=dense_model.frame.name,
-                got="a body that a port can move as a rigid body, and a band from 0 Hz",
+                got="a port that moves the body as a rigid body, and a band from 0 Hz",
                 expected="a band above 0 Hz, a body with a support, or electrical ports only",
                 hint="state rom.band, such as [100, 10000]",
             )
@@ -372,7 +371,7 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def at(self, x: np.ndarray) -> _DenseModes:
-        """Return the modes at coordinates ``x`` of the axes, without motions without stiffness."""
+        """Return the modes of :meth:`_select_elastic` at coordinates ``x`` of the axes."""
         return self._select_elastic(self._all_modes(x))
 
     def _all_modes(self, x: np.ndarray) -> _DenseModes:

@@ -301,6 +301,8 @@ def test_elements_that_are_not_in_unv_are_rejected(tmp_path):
     damaged = text.replace("        95 ", "        94 ")
     assert damaged != text
     path.write_text(damaged, encoding="utf-8")
-    with pytest.raises(UsageError, match="an element is not one of UNV files") as caught:
+    with pytest.raises(
+        UsageError, match="number of nodes does not match the UNV element type"
+    ) as caught:
         read_mesh(path, unit=1.0, dimension=2)
     assert caught.value.got == "an element of type 94 with 8 nodes"
