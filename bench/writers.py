@@ -11,7 +11,7 @@ from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.read import read_cards
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.multiport import _convert_to_admittance, _realise_state_space
+from kc2spice.rom.multiport import _convert_to_charges, _realise_state_space
 from kc2spice.synthesis.realize import subcircuit
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
@@ -25,7 +25,7 @@ def writers(setup):
     fit, answer = multiport(5, pairs, ports)
     theirs = _scikit(setup, fit, ports)
     residues = np.moveaxis(fit.residues.reshape(ports, ports, -1), 2, 0)
-    ours = _convert_to_admittance(
+    ours = _convert_to_charges(
         *_realise_state_space(fit.poles, residues, fit.constant_coeff.reshape(ports, ports)), OHM
     )
     certificate = Certificate((0.0, TOP), 0.0, "its poles", True, True)

@@ -589,7 +589,7 @@ class BondedBlocks:
         materials = {block.material.name: block.material for block in self.blocks}
         owner = np.full(mesh.nelements, -1)
         for block in self.blocks:
-            owner[_is_inside_box(block.box, middle, near)] = list(materials).index(
+            owner[_mask_inside_box(block.box, middle, near)] = list(materials).index(
                 block.material.name
             )
         occupied = np.flatnonzero(owner >= 0)
@@ -600,24 +600,24 @@ class BondedBlocks:
         """Return the boundary conditions of the blocks."""
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
 
-        def is_inside(box: Box) -> np.ndarray:
-            return _is_inside_box(box, places, near)
+        def mask_inside(box: Box) -> np.ndarray:
+            return _mask_inside_box(box, places, near)
 
         fixed = np.zeros((places.shape[1], len(letters)), bool)
         if solid.axisymmetric:
             fixed[places[0] < near, 0] = True
         for axes, box in self.fixed:
             for axis in axes:
-                fixed[is_inside(box), letters.index(axis)] = True
+                fixed[mask_inside(box), letters.index(axis)] = True
 
         def find_nodes(faces: Sequence[Box]) -> np.ndarray:
-            return np.flatnonzero(np.any([*map(is_inside, faces)], axis=0))
+            return np.flatnonzero(np.any([*map(mask_inside, faces)], axis=0))
 
         def shares(box: Box) -> np.ndarray:
             if np.equal(*np.transpose(box)).all():  # a single point
-                result = is_inside(box)
+                result = mask_inside(box)
                 return np.asarray(result / result.sum())
-            face = solid.mesh.facets_satisfying(lambda x: _is_inside_box(box, x, near))
+            face = solid.mesh.facets_satisfying(lambda x: _mask_inside_box(box, x, near))
             return compute_node_shares(solid, facets=face)
 
         lumped = [mass * shares(box) for mass, box in self.masses]
@@ -651,7 +651,7 @@ def list_outer_faces(box: Box) -> dict[str, RadiatingFace]:
 def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
     """Return the facets of a radiating face."""
     inside = solid.mesh.facets_satisfying(
-        lambda x: _is_inside_box(face.box, x, near), boundaries_only=True
+        lambda x: _mask_inside_box(face.box, x, near), boundaries_only=True
     )
     up = solid.facet_basis(inside, 1).normals[-1].mean(axis=-1)
     return np.asarray(inside[up > 0.5 if face.upward else up < -0.5])
@@ -664,7 +664,7 @@ def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
-def _is_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
+def _mask_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
     """Return a mask of the points (d, …) inside a box or on its boundary."""
     low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
     return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

@@ -117,7 +117,9 @@ class BlockMatrix(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnrichedModel:
-    """Device with additional shape functions, and the matrices K, C, P of the module docstring.
+    """Finite-element model with additional shape functions.
+
+    The matrices K, C and P are defined in the docstring of the module. M is the mass matrix.
 
     ``operators`` are the matrices of the additional functions. ``factors`` are the factors of their
     blocks of K and P, or None without functions. The function ``solve_at_rest`` multiplies by
@@ -223,7 +225,7 @@ def _find_free_functions(
     """Return masks of free displacements (functions, d) and free potentials (functions,)."""
     solid, count = device.solid, enrichment.count
     nodes = solid.basis(1).element_dofs
-    free_nodes = _has_separate_unknown(device.displacement).reshape(-1, solid.components)
+    free_nodes = _mask_separate_unknowns(device.displacement).reshape(-1, solid.components)
     electrode = _number_electrodes(device)
     free, live = np.ones((count, solid.components), bool), enrichment.mask_dielectric_functions()
     for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
@@ -233,7 +235,7 @@ def _find_free_functions(
     return free, live
 
 
-def _has_separate_unknown(prolongation: sparse.csc_array) -> np.ndarray:
+def _mask_separate_unknowns(prolongation: sparse.csc_array) -> np.ndarray:
     """Return a mask of the nodal values that are independent unknowns of the model."""
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
@@ -250,7 +252,7 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
     column[tied, 0] = rows.indices[rows.indptr[:-1][tied]]
     table = np.hstack([column, device.drive.toarray()])
     return np.where(
-        _has_separate_unknown(device.potential),
+        _mask_separate_unknowns(device.potential),
         -1,
         np.unique(table, axis=0, return_inverse=True)[1],
     )

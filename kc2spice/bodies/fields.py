@@ -103,7 +103,7 @@ def compute_lowest_modes(
     """Compute the lowest modes that the ports excite, with shorted electrodes.
 
     The results are at most ``count`` frequencies [Hz] below ``end``, and the displacements (n,
-    modes). Motions without stiffness are omitted.
+    modes). Rigid-body modes are omitted.
     """
     basis, omega, _ = _compute_modes(device, np.inf)
     selected = np.flatnonzero(

@@ -71,7 +71,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Figure of panels above each other with one x axis, or in a grid.
+    """Figure of stacked panels with a common x axis, or of panels in a grid.
 
     ``columns`` is the number of columns of the grid, in which each panel has a separate x axis.
     ``name`` is the name of the file without suffix. ``main`` marks the most important figure of a

@@ -191,10 +191,14 @@ def _explain_invalid(
             if vector and any(_is_union_member(step) for step in path) and "x" not in choices:
                 vector = vector.replace("1", "-1") if word.strip().startswith("-") else vector
                 near = f"write  {full_path[-1]} = {vector}"
-            near = near or f"for example  {_assign(full_path, _quote(choices[0]))}"
+            near = near or f"for example  {_write_assignment(full_path, _quote(choices[0]))}"
             return "this value is not one of the choices", f"one of {listed}", near
         case "float_type" | "float_parsing":
-            return "not a number", "a number", f"write for example  {_assign(full_path, '1.0')}"
+            return (
+                "not a number",
+                "a number",
+                f"write for example  {_write_assignment(full_path, '1.0')}",
+            )
         case "string_type":
             return "not a text", "a text in quotes", f'for example  {full_path[-1]} = "NAME"'
         case "int_type":
@@ -221,7 +225,7 @@ def _explain_invalid(
                 hint = f"write  {full_path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
                 if isinstance(full_path[-1], int):
                     example = _write_entry(_find_schema(schema, (*path, "")), details["input"])
-                    hint = f"write  {_assign(full_path, example)}"
+                    hint = f"write  {_write_assignment(full_path, example)}"
                 elif isinstance(details["input"], str) and (key := _find_text_key(schema, path)):
                     hint = f'write  {full_path[-1]} = {{ {key} = "{details["input"]}" }}'
                 elif key := _find_value_key(schema, path, details["input"]):
@@ -243,10 +247,10 @@ def _explain_invalid(
                 example = f"[0, {_format_entries([entered])[1:-1]}]"  # a band begins at 0 Hz
             elif isinstance(entered, str) and isinstance(full_path[-1], str):
                 example = f'["{entered}"]'
-            hint = f"write  {_assign(full_path, example)}" if keys is None else (
+            hint = f"write  {_write_assignment(full_path, example)}" if keys is None else (
                 f"write one table for each entry:  {full_path[-1]} = [{_format_toml(entered)}]"
             )  # fmt: skip
-            return "not a list", f"a list, {_assign(full_path, f'[{one}]')}", hint
+            return "not a list", f"a list, {_write_assignment(full_path, f'[{one}]')}", hint
         case "too_short" | "too_long" as kind:
             too_short = kind == "too_short"
             count = context["min_length" if too_short else "max_length"]
@@ -276,7 +280,11 @@ def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str
     # a band begins at 0 Hz, other lists end with the missing entries
     completed = [*added, *entries] if path[-1] == "band" else [*entries, *added]
     full = _format_entries(completed).replace('"VALUE"', "VALUE")
-    return "too few entries", f"a list of {count} entries", f"write  {_assign(path, full)}"
+    return (
+        "too few entries",
+        f"a list of {count} entries",
+        f"write  {_write_assignment(path, full)}",
+    )
 
 
 def _format_entries(entries: Iterable[object]) -> str:
@@ -284,12 +292,12 @@ def _format_entries(entries: Iterable[object]) -> str:
     return _format_toml(list(entries)).replace("'", '"')
 
 
-def _assign(path: KeyPath, value: str) -> str:
-    """Return the text that gives the key at ``path`` a value.
+def _write_assignment(path: KeyPath, value: str) -> str:
+    """Return text for a hint that sets the key at ``path`` to ``value``.
 
-    >>> _assign(("u", "axis"), "[0, 0, 1]")
+    >>> _write_assignment(("u", "axis"), "[0, 0, 1]")
     'axis = [0, 0, 1]'
-    >>> _assign(("u", "axis", 2), "1.0")
+    >>> _write_assignment(("u", "axis", 2), "1.0")
     '1.0  as entry 3 of axis'
     """
     last = path[-1]
@@ -609,7 +617,7 @@ def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) 
     shorter = _format_entries(entries[:count])
     if len(shorter) > 60:
         return f"delete {len(entries) - count} of the {len(entries)} entries"
-    return f"write for example  {_assign(path, shorter)}"
+    return f"write for example  {_write_assignment(path, shorter)}"
 
 
 def _find_inner_section(annotation: Any) -> type[BaseModel] | None:

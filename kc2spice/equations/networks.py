@@ -50,8 +50,11 @@ class Network:
         """Names of the laws."""
         return frozenset(map(attrgetter("name"), self.laws))
 
-    def is_determined_by(self, driven: set[str]) -> bool:
-        """Return whether sources at the pins ``driven`` set all nets, and no law is a body."""
+    def is_fully_driven_by(self, driven: set[str]) -> bool:
+        """Return whether each net except ground has a pin in ``driven``.
+
+        The result is false for a network with a body, and for an empty set.
+        """
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
         ungrounded = dict(self.joins)

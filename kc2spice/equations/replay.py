@@ -80,7 +80,7 @@ def select_networks_to_solve(
     networks = laws.networks_with(sources) if sources else laws.networks
     result = []
     for network in networks:
-        if not network.has_sources_only and not network.is_determined_by(driven):
+        if not network.has_sources_only and not network.is_fully_driven_by(driven):
             result.append(network)
     return result
 

@@ -56,8 +56,8 @@ class HeatSolid:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         return weights if self.areas is None else weights * self.areas[cells, None]
 
-    def find_cells(self, facets: np.ndarray) -> np.ndarray:
-        """Return the elements on the first side of each of the ``facets``."""
+    def find_adjacent_cells(self, facets: np.ndarray) -> np.ndarray:
+        """Return one element adjacent to each of the ``facets``."""
         return np.asarray(self.geometry.mesh.f2t[0, facets])
 
 
@@ -102,7 +102,10 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     """Return the matrix H (nodes, nodes) [m^2] of faces; the sum of its entries is the area."""
     basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
-    weights, nodes = solid.compute_weights(basis, solid.find_cells(facets)), basis.element_dofs.T
+    weights, nodes = (
+        solid.compute_weights(basis, solid.find_adjacent_cells(facets)),
+        basis.element_dofs.T,
+    )
     matrix = np.zeros(())
     for (N, _), w in zip(list_local_functions(basis), weights.T[:, :, None, None], strict=True):
         matrix = matrix + w * N[:, :, None] * N[:, None]
@@ -187,7 +190,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
         geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
     )
     nodes = np.vstack([first.element_dofs, second.element_dofs]).T
-    weights, matrix = solid.compute_weights(first, solid.find_cells(facets)), np.zeros(())
+    weights, matrix = solid.compute_weights(first, solid.find_adjacent_cells(facets)), np.zeros(())
     functions = zip(list_local_functions(first), list_local_functions(second), strict=True)
     for ((N, _), (M, _)), w in zip(functions, weights.T[:, :, None, None], strict=True):
         jump = np.concatenate([N, -M], axis=1)

@@ -22,7 +22,8 @@ from kc2spice.core.errors import wrong
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.core.quantities import MU_0
 
-HEIGHT_NODES = 40  # number of Chebyshev heights at which the couplings are computed
+# number of heights (Chebyshev points) at which the couplings of coils and rings are computed
+HEIGHT_NODES = 40
 SELF_DIVISIONS = 24  # divisions of the longer side of a coil, for its self-inductance
 MUTUAL_DIVISIONS = 16  # divisions of the longer side of a section, for the mutual inductance
 MIN_FILL = 0.02  # smallest conducting share of a section; a ring below this share is omitted

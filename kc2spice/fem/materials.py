@@ -287,15 +287,15 @@ def _validate_components(unit: str) -> BeforeValidator:
 
     Each number in the tensor may have a unit.
     """
-    return BeforeValidator(partial(_convert_units, unit))
+    return BeforeValidator(partial(_convert_to_unit, unit))
 
 
-def _convert_units(unit: str, value: object) -> object:
-    """Convert all quantities in nested mappings and lists to numbers in this unit."""
+def _convert_to_unit(unit: str, value: object) -> object:
+    """Convert all quantities in nested mappings and lists to numbers in ``unit``."""
     if isinstance(value, Mapping):
-        return {str(key): _convert_units(unit, item) for key, item in value.items()}
+        return {str(key): _convert_to_unit(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return list(map(partial(_convert_units, unit), value))
+        return list(map(partial(_convert_to_unit, unit), value))
     try:
         return quantity(value, unit)
     except UsageError as error:

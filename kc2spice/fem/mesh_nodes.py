@@ -119,10 +119,10 @@ def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: flo
     node = nodes[np.fromiter(chain.from_iterable(around), int)]
     other = label[faces[face, 0]] != label[node]
     face, node = face[other], node[other]
-    return np.unique(node[_is_on_simplex(points[node], points[faces[face]], near)])
+    return np.unique(node[_mask_on_simplex(points[node], points[faces[face]], near)])
 
 
-def _is_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
+def _mask_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
     """Return a mask (n,) of the points ``places`` closer than ``near`` to their simplex.
 
     The points are (n, d), and the simplices (n, corners, d). The foot of the perpendicular from x

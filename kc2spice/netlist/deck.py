@@ -354,7 +354,7 @@ class Deck:
 
     @property
     def _available_measures(self) -> list[Measure]:
-        """Measurements of the deck's kind of analysis."""
+        """Measurements that fit the deck's analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measure_cards(self, printed: str) -> Iterator[Line]:

@@ -163,11 +163,11 @@ class _CircuitTranslator:
             return "{0}.{2}{1}".format(*parameter)
         if text[:1] + text[-1:] not in ("{}", "''"):
             return text
-        return f"{{{self._translate_law(text[1:-1], card)}}}"
+        return f"{{{self._translate_expression(text[1:-1], card)}}}"
 
-    def _translate_law(self, text: str, card: Card) -> str:
-        """Translate the expression of a card."""
-        return _ExpressionTranslator(card, self).translate_law(text)
+    def _translate_expression(self, text: str, card: Card) -> str:
+        """Translate the expression ``text`` of a card to ngspice."""
+        return _ExpressionTranslator(card, self).translate(text)
 
     def _translate_item(self, item: Item) -> Iterable[Item]:
         """Translate an item to the corresponding ngspice items."""
@@ -181,7 +181,9 @@ class _CircuitTranslator:
             case Parameters():
                 return (replace(item, values=self._translate_values(item.values, item)),)
             case Function():
-                return (replace(item, expression=self._translate_law(item.expression, item)),)
+                return (
+                    replace(item, expression=self._translate_expression(item.expression, item)),
+                )
             case Element():
                 return self._translate_element(item)
         return (item,)
@@ -283,7 +285,9 @@ class _CircuitTranslator:
                 ),
             )
         if element.kind in "eg" and (points := _table_points(element)):
-            law = self._translate_law(f"table(V({','.join(element.nodes[2:])}), {points})", element)
+            law = self._translate_expression(
+                f"table(V({','.join(element.nodes[2:])}), {points})", element
+            )
             quantity = "V" if element.kind == "e" else "I"
             return (_make_source(element, quantity, law),)
         element = self._with_temperature(element)
@@ -307,7 +311,7 @@ class _CircuitTranslator:
 
     def _translate_resistor(self, element: Element) -> Element:
         """Translate a resistor whose resistance is an expression to a current source."""
-        law = self._translate_law(element.settings["r"].strip("{}'"), element)
+        law = self._translate_expression(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
         return Element.behaviour(f"B{element.name}", plus, minus, "I", current)
@@ -315,7 +319,7 @@ class _CircuitTranslator:
     def _translate_source(self, element: Element) -> Iterable[Item]:
         """Translate a behavioural source: the expression and the settings after the expression."""
         law, settings = _split_settings(element.expression)
-        result = [replace(element, expression=self._translate_law(law, element))]
+        result = [replace(element, expression=self._translate_expression(law, element))]
         for name, value in settings.items():
             if name in STEP_CONTROL_PARAMETERS:
                 continue
@@ -571,7 +575,7 @@ class _ExpressionTranslator:
     def __init__(self, card: Card, scope: _CircuitTranslator) -> None:
         self.card, self.scope = card, scope
 
-    def translate_law(self, text: str) -> str:
+    def translate(self, text: str) -> str:
         """Translate an expression to ngspice.
 
         Raises

@@ -115,14 +115,19 @@ class Junction(Device):
     charged = (0,)
 
     @cached_property
-    def _scale(self) -> float:
-        """Voltage difference [V] that multiplies the current by e: N times VT."""
+    def _emission_voltage(self) -> float:
+        """Emission coefficient N times thermal voltage VT [V].
+
+        A voltage step of this size multiplies the current by e.
+        """
         return self.emission * THERMAL_VOLTAGE
 
     @cached_property
     def _critical_voltage(self) -> float:
         """Voltage [V] at which the curve ``i(v)`` has its largest curvature."""
-        return self._scale * math.log(self._scale / (math.sqrt(2.0) * self.saturation_current))
+        return self._emission_voltage * math.log(
+            self._emission_voltage / (math.sqrt(2.0) * self.saturation_current)
+        )
 
     @cached_property
     def _breakdown_start(self) -> float:
@@ -136,10 +141,10 @@ class Junction(Device):
         start = self.breakdown_voltage
         if ratio < start / THERMAL_VOLTAGE:
             return start
-        start -= self._scale * math.log(1.0 + ratio)
+        start -= self._emission_voltage * math.log(1.0 + ratio)
         for _ in range(BREAKDOWN_ITERATIONS):
             rise = math.log(ratio + 1.0 - start / THERMAL_VOLTAGE)
-            start = self.breakdown_voltage - self._scale * rise
+            start = self.breakdown_voltage - self._emission_voltage * rise
         return start
 
     def _current(self, v: float) -> tuple[float, float, float]:
@@ -153,7 +158,7 @@ class Junction(Device):
 
     def _exponential_current(self, v: float) -> tuple[float, float, float]:
         """Return the current [A] without ``gmin``, its slope [S], and its integral [W]."""
-        current, scale = self.saturation_current, self._scale
+        current, scale = self.saturation_current, self._emission_voltage
         first, last = -REVERSE_RANGE * scale, -self._breakdown_start
         if v >= first:
             rise = current * _exponential(v / scale)
@@ -229,7 +234,11 @@ class Junction(Device):
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Limit the step of the junction voltage in the forward direction and in breakdown."""
         v, before = float(e[0]), float(last[0])
-        start, scale, critical = self._breakdown_start, self._scale, self._critical_voltage
+        start, scale, critical = (
+            self._breakdown_start,
+            self._emission_voltage,
+            self._critical_voltage,
+        )
         if v < min(0.0, -start + BREAKDOWN_MARGIN * scale):
             over = limit_junction_voltage(-v - start, -before - start, scale, critical)
             v = -over - start

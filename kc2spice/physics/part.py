@@ -94,12 +94,18 @@ class DeclaredPart(PartType[KeysT]):
         """Return the declaration of a part, which may depend on the part's built model."""
         return self.make_declaration(part, build.scene)
 
-    def resolved_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Return the declaration of a part, with a heat pin if the scene joins this pin."""
+    def declare_part(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
+        """Return the declaration of a part before its model is built.
+
+        The declaration has a heat pin if the scene joins this pin.
+        """
         return self._with_heat_pin(self.make_declaration(part, scene), part, scene)
 
-    def resolved_built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """Return the declaration of a part with a built model, with a heat pin if joined."""
+    def declare_built_part(self, part: Part[KeysT], build: Build) -> Declaration:
+        """Return the declaration of a part after its model is built.
+
+        The declaration has a heat pin if the scene joins this pin.
+        """
         declaration = self.built_declaration(part, build)
         heated = (part.name, HEAT) in build.scene.terminals
         return _attach_heat_pin(declaration, part) if heated else declaration
@@ -115,7 +121,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
-        d, result = self.resolved_declaration(part, scene), []
+        d, result = self.declare_part(part, scene), []
         plus = {b.plus for b in d.branches}
         for p in make_pins(d):
             required = p.name in plus or scene.is_target(part.name, p.name)
@@ -125,12 +131,12 @@ class DeclaredPart(PartType[KeysT]):
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins of branches with a mass or an inertance."""
-        d = self.resolved_declaration(part, scene)
+        d = self.declare_part(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the paths to references: branches with a stiffness at rest or with a flow."""
-        d = self.resolved_declaration(part, scene)
+        d = self.declare_part(part, scene)
         values = d.values(part.keys)
         stiff, flowing = [], []
         for b in d.branches:
@@ -149,19 +155,19 @@ class DeclaredPart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
-        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
+        d, name = self.declare_built_part(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
         """Yield a smaller tolerance for dc sweeps if the declaration is nonlinear."""
-        if not self.resolved_declaration(part, scene).linear:
+        if not self.declare_part(part, scene).linear:
             yield from sweep_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
-        result, d = {}, self.resolved_built_declaration(part, build)
+        """Return the ngspice vectors of the part's results, keyed by result name."""
+        result, d = {}, self.declare_built_part(part, build)
         for b in d.branches:
             if b.plus and {_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
                 result[f"{part.name}.{b.across}"] = across_vector(build, part, b)
@@ -182,7 +188,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
         """Return the equations of the part."""
-        n, d = part.name, self.resolved_built_declaration(part, build)
+        n, d = part.name, self.declare_built_part(part, build)
         results = {}
         for b in d.open_branches:  # no loops, because the loops of a full model differ
             if b.plus not in d.inner:
@@ -203,7 +209,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Yield checks of limits and impacts, and the energy balance."""
-        d = self.resolved_built_declaration(part, build)
+        d = self.declare_built_part(part, build)
         known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
         yield from _check_limits(d, part, known)
         if build.scene.analysis.type == "op":
@@ -226,7 +232,7 @@ class DeclaredPart(PartType[KeysT]):
     ) -> Iterator[Check]:
         """Yield checks that the operating point is not on a stop and is within the limits."""
         d, known = (
-            self.resolved_built_declaration(part, build),
+            self.declare_built_part(part, build),
             self._recorded_variables(part, build, point),
         )
         small = build.scene.analysis.is_small_signal
@@ -243,7 +249,7 @@ class DeclaredPart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Return the coordinates, states and signals that a run has recorded over time."""
-        d = self.resolved_built_declaration(part, build)
+        d = self.declare_built_part(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
             if (wave := waves.data.get(f"{part.name}.{name}")) is not None:
@@ -254,12 +260,12 @@ class DeclaredPart(PartType[KeysT]):
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield "; ".join(self.resolved_declaration(part, scene).equations)
+        yield "; ".join(self.declare_part(part, scene).equations)
         yield from self.list_neglected_effects(part, scene)
 
     def list_neglected_effects(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
         """Yield the effects that the declaration of a part neglects."""
-        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+        yield from starmap(Neglected, self.declare_part(part, scene).neglected)
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:

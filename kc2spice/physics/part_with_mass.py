@@ -42,7 +42,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part with the nodes of its mass."""
-        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
+        d, name = self.declare_built_part(part, build), build.libraries[part.name]
         mass = self.mass_declaration(part, build.scene)
         known = {param.name for param in d.given}
         d = replace(d, given=(*d.given, *(p for p in mass.given if p.name not in known)))

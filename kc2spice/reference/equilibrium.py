@@ -282,8 +282,8 @@ class _StaticEquations:
         self.h = np.array([h.value - h.row[n:] @ self.source_values for h in values])
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
-    def interval(self, z: np.ndarray) -> Interval:
-        """Make the interval with the modes that the devices have at ``z``."""
+    def make_interval(self, z: np.ndarray) -> Interval:
+        """Return the equations for the modes that the devices have at ``z``."""
         X = np.concatenate((z, self.source_values))
         modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
@@ -320,7 +320,7 @@ def find_equilibrium(
     for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
             z, pace, tangents = start, 1e-6, LimitedTangents()
-        interval, limited = tangents.linearise(rest.interval(z), 0.0, z)
+        interval, limited = tangents.linearise(rest.make_interval(z), 0.0, z)
         f, J = rest.equations(interval, z)
         step = _compute_newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))

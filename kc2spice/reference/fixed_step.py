@@ -148,20 +148,20 @@ def integrate_steps(
     """
     z, modes = find_equilibrium(system)
     march = _StepIntegrator(system, modes, step)
-    es = march.interval(0.0).device_inputs(0.0, z)
+    es = march.make_interval(0.0).device_inputs(0.0, z)
     for k, ported in march.ported:
         march.bodies[k] = _BodyIntegrator(ported, step, es[k])
     if start_from is not None:
         z = start_from(system, z)
-    es = march.interval(first).device_inputs(first, z)
+    es = march.make_interval(first).device_inputs(first, z)
     for k, law in march.others:
         march.modes[k] = law.mode(es[k])
-    times, states, intervals = [first], [z], [march.interval(first)]
+    times, states, intervals = [first], [z], [march.make_interval(first)]
     for k in range(count):
         z = march.step(first + k * step, z)
         times.append(first + (k + 1) * step)
         states.append(z)
-        intervals.append(march.interval(times[-1]))
+        intervals.append(march.make_interval(times[-1]))
         if progress is not None and k % 20 == 0:
             progress(k / count)
     time = np.array(times)
@@ -176,7 +176,10 @@ def integrate_steps(
 
 
 class _StepIntegrator:
-    """Integrator of a system with bodies: their states and the modes of devices."""
+    """Fixed-step integrator of a system with bodies.
+
+    It contains the states of the bodies and the present mode of each device.
+    """
 
     def __init__(self, system: System, modes: list[Any], step: float) -> None:
         self.system, self.modes, self.h = system, modes, step
@@ -190,8 +193,8 @@ class _StepIntegrator:
         self.bodies: dict[int, _BodyIntegrator] = {}
         self.is_affine = all(law.is_affine for _, law in self.others)
 
-    def interval(self, t: float) -> Interval:
-        """Return the equations around the time ``t`` with the present modes of the devices."""
+    def make_interval(self, t: float) -> Interval:
+        """Return the equations at the time ``t`` for the present modes of the devices."""
         return Interval(self.system, list(self.modes), t)
 
     def device_modes(self, interval: Interval) -> tuple[Any, ...]:
@@ -200,14 +203,14 @@ class _StepIntegrator:
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
         """Compute the unknowns one step after ``t``, and set the modes at the end of this step."""
-        stored = self.interval(t).at(t, z)[0]
+        stored = self.make_interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
         first = self._solve_stage(within, z, stored, False)
-        inner = self.interval(within).at(within, first)[0]
+        inner = self.make_interval(within).at(within, first)[0]
         last = self._solve_stage(
             t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True
         )
-        es = self.interval(t + self.h).device_inputs(t + self.h, last)
+        es = self.make_interval(t + self.h).device_inputs(t + self.h, last)
         for k, law in self.others:
             law.require_in_range(t + self.h, es[k])
         return last
@@ -216,11 +219,11 @@ class _StepIntegrator:
         """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for ``z``, and set device modes."""
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
-        es = self.interval(t).device_inputs(t, z)
+        es = self.make_interval(t).device_inputs(t, z)
         self._switch_devices(es, 0)
         tangents = LimitedTangents()
         for count in range(MAX_ITERATIONS):
-            interval, limited = tangents.linearise(self.interval(t), t, z)
+            interval, limited = tangents.linearise(self.make_interval(t), t, z)
             g, f = interval.at(t, z)
             M, J = interval.compute_slopes(t, z)
             J = J - self.rate * M

@@ -80,14 +80,14 @@ def write_sweep(
         if name not in units and _belongs_to(column, *NUMBER_TYPES):
             metrics.append(name)
             if not _belongs_to(column, bool):
-                spread.append(_quantile_row(name, column, metric_units.get(name, "")))
+                spread.append(_make_quantile_row(name, column, metric_units.get(name, "")))
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     note = "Of all points; a point that failed counts as a miss."
-    plan_rows = [("points", plan), *(_key_row(key, table[key], units) for key in units)]
+    plan_rows = [("points", plan), *(_make_key_row(key, table[key], units) for key in units)]
     figures = tuple(plot_sweep(table, units, metrics, metric_units, random))
     sections = [
         PageSection("Plan", plan_rows),
-        PageSection("Yield", list(map(_yield_row, shares, shares.values())), note=note),
+        PageSection("Yield", list(map(_make_yield_row, shares, shares.values())), note=note),
         PageSection("Metrics", spread, head),
         PageSection("Points that failed", _count_failures(table["status"]), ("points", "why")),
         PageSection("Figures", figures=figures),
@@ -102,13 +102,14 @@ def _count_failures(status: Sequence[str]) -> list[tuple[str, str]]:
     return [(str(count), reason) for reason, count in counts.most_common(20)]
 
 
-def _yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
+def _make_yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
+    """Return the table row of a yield: the share of good points and its confidence interval."""
     low, high, level = 100 * share["low"], 100 * share["high"], 100 * share["confidence"]
     interval = f"{level:.3g} % confidence: {low:.4g} … {high:.4g} %"
     return label_key(name), f"{100 * share['share']:.4g} % ({interval})"
 
 
-def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
+def _make_key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
     """Return the table row of a swept key: number of values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
@@ -117,7 +118,7 @@ def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple
     return key, f"{len(distinct)} values, {text}"
 
 
-def _quantile_row(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
+def _make_quantile_row(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
     """Return the table row of a metric: extremes, median, and 5 % and 95 % quantiles."""
     values = _read_numbers(column)
     values = values[np.isfinite(values)]

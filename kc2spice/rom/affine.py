@@ -301,8 +301,9 @@ def reduce_affine(
 
     Raises
     ------
-    UsageError : the model has signal ports, damping that is not proportional, a matrix that is not
-        positive definite somewhere in the ranges, or a port that moves the body without stiffness.
+    UsageError : the model has signal ports or damping that is not proportional, a matrix is not
+        positive definite in the whole range, or the band begins at 0 Hz and a port can move the
+        body as a rigid body.
     SimulationError : the tolerance is not met.
     """
     middle = {axis.name: axis.middle for axis in affine.axes}

@@ -34,8 +34,8 @@ from kc2spice.rom.pencil import (
     detect_rayleigh,
     eliminate_massless,
     first_order,
-    has_entries,
     largest_entry,
+    mask_unknowns_with_entries,
     to_dense,
 )
 
@@ -82,7 +82,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     """Find multipliers: unknowns that have no inertia, damping and stiffness between each other."""
-    result = ~has_entries(others) & (rest.diagonal() == 0)
+    result = ~mask_unknowns_with_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
         among = abs(_submatrix(rest, indices, indices))

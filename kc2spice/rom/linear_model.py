@@ -136,7 +136,7 @@ class Certificate:
 
     @property
     def proofs(self) -> str:
-        """Stability and passivity in words, such as ``"stable, passivity not shown"``."""
+        """Proven properties as one text, such as ``"stable, passivity not shown"``."""
         stability = {True: "stable", False: "UNSTABLE", None: "stability not known"}[self.stable]
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 

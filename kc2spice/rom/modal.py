@@ -158,10 +158,10 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
     omega_j^2``: the contribution of the mode to the static response of the port.
 
     If damping couples modes, each pair of complex poles is a mode, and ``omega_j`` is the magnitude
-    of the pole. Motions without stiffness are omitted. The result is None for a first-order model,
+    of the pole. Rigid-body modes are omitted. The result is None for a first-order model,
     and for a model whose ports are signals.
     """
-    result = _modal_data(model)
+    result = _compute_modal_data(model)
     if result is None:
         return None
     omega, damp, share, rest = result
@@ -187,24 +187,28 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
     return {"units": units, "modes": modes} if modes else None
 
 
-def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+def _compute_modal_data(
+    model: LinearModel,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Return ``omega`` and ``damp`` (modes,), static contributions, and the direct term.
 
     The static contributions ``gain^2 / omega^2`` of the modes to the ports are (modes, ports).
     """
     result = resonators(model)
     if result is None:
-        return _modal_data_by_poles(model)
+        return _compute_modal_data_from_poles(model)
     count = result.order - result.massless
     share = result.gain**2 / result.omega[:, None] ** 2
     rest = np.diag(result.D) + share[count:].sum(axis=0)
     return result.omega[:count], result.damp[:count], share[:count], rest
 
 
-def _modal_data_by_poles(
+def _compute_modal_data_from_poles(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the results of :func:`_modal_data` for the poles of ``M x'' + E x' + K x``.
+    """Compute modal data from the poles of ``M x'' + E x' + K x``; None for a first-order model.
+
+    The results have the meaning and sequence of :func:`_compute_modal_data`.
 
     The static contribution of a pole to a port is ``-2 Re(residue / pole)`` of the port's driving-
     point response. For decoupled modes, it equals ``gain^2 / omega^2``.

@@ -84,7 +84,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     R = float(1 / np.median(diagonal[diagonal > 0]))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
-    model = _convert_to_admittance(*_select_fit(f, S, noise, where), R)
+    model = _convert_to_charges(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
     # an entry between ports without coupling is zero
@@ -446,10 +446,13 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     return bool((gain <= g * (1 - PASSIVITY_MARGIN)).all())
 
 
-def _convert_to_admittance(
+def _convert_to_charges(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """Make the state space from voltages [V] to charges [C].
+    """Convert a state space of scattering parameters to a model from voltages to charges.
+
+    The input ``v`` is in V, and the output ``q`` in C. ``r`` is the root of the reference
+    resistance R [Ohm].
 
     The waves ``a`` remain algebraic signals, so that the poles of the fit remain in separate
     blocks::

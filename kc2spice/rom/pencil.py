@@ -176,7 +176,7 @@ def largest_entry(matrix: Matrix) -> float:
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
-def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
+def mask_unknowns_with_entries(matrices: Sequence[Matrix]) -> np.ndarray:
     """Return a mask (n,) of the unknowns for which any of the matrices has an entry."""
     total = np.zeros(matrices[0].shape[0])
     for size in map(abs, matrices):
@@ -230,7 +230,7 @@ class Pencil:
     The coefficients of a second-order model are ``(K, E, M)``, and of a first-order model ``E x' =
     A x + B u`` they are ``(-A, E)``. The first coefficient may be a :class:`Schur` complement. If
     ``rayleigh`` is ``(alpha, beta)``, E is ``alpha M + beta K``. ``B`` (n, m), ``C`` (p, n) and
-    ``D`` (p, m) are arrays. The first ``free`` unknowns are motions without stiffness; see
+    ``D`` (p, m) are arrays. The first ``free`` unknowns are rigid-body modes; see
     :mod:`kc2spice.rom.rigid_body`.
     """
 
@@ -627,7 +627,7 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
         return pencil
-    free = ~has_entries(others)
+    free = ~mask_unknowns_with_entries(others)
     if not free.any() or free.all():
         return pencil
     keep, p = np.flatnonzero(~free), np.flatnonzero(free)

@@ -168,7 +168,7 @@ class Response:
             result = np.empty(0) if self.decoupled else self._poles
             mode = np.full(len(result), -1)
             if self.modes is not None and not self.decoupled:
-                mode = np.flatnonzero(_has_finite_pole(self.modes[2][0]))
+                mode = np.flatnonzero(_mask_finite_poles(self.modes[2][0]))
             mode, result = mode[result.imag > 0], result[result.imag > 0]
             return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result), mode
         assert self.modes is not None
@@ -187,7 +187,7 @@ class Response:
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Return the resonances inside the band."""
         frequency, ratio = self.resonances
-        inside = _is_inside(frequency, band)
+        inside = _mask_inside_band(frequency, band)
         return frequency[inside], ratio[inside]
 
     def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +198,7 @@ class Response:
         error.
         """
         frequency, ratio, mode = self._oscillating_poles
-        inside = _is_inside(frequency, band)
+        inside = _mask_inside_band(frequency, band)
         frequency, ratio, mode = frequency[inside], ratio[inside], mode[inside]
         if not mode.size or mode.min() < 0:
             return frequency, ratio
@@ -267,16 +267,16 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return the finite poles of the diagonals of :func:`_compute_eigenvectors`."""
-    finite = _has_finite_pole(rest)
+    finite = _mask_finite_poles(rest)
     return np.asarray(-rest[finite] / inertia[finite])
 
 
-def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
-    """Return a mask of the diagonals of :func:`_compute_eigenvectors` with a finite pole."""
+def _mask_finite_poles(rest: np.ndarray) -> np.ndarray:
+    """Return a mask of the entries of ``rest`` whose pole ``-rest / inertia`` is finite."""
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
-def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
     """Return a mask of the frequencies [Hz] that are in the band and not zero within rounding."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 

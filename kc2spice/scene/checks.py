@@ -48,8 +48,9 @@ class Check:
     that a transient has recorded. In a check of a motion, ``distance`` is the smallest distance
     from the limit, on either side, and ``travel`` the range of the motion. ``distance`` and
     ``travel`` have the unit of the check.
-    ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. A
-    run that violates a check with these texts writes no files, because the input is the cause.
+    ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. If a
+    check with these two texts is violated, a value in the scene is the cause, and the run writes no
+    files.
     """
 
     name: str

@@ -122,7 +122,12 @@ def test_points_that_steps_do_not_resolve_are_not_compared():
     """Excluded are points within the step of an event, and beside a step of one model only."""
     steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
-    assert steps.has_equal_modes(points).tolist() == [True, *2 * [False], *2 * [True], *3 * [False]]
+    assert steps.mask_equal_modes(points).tolist() == [
+        True,
+        *2 * [False],
+        *2 * [True],
+        *3 * [False],
+    ]
 
 
 @pytest.mark.parametrize(("span", "begin"), [(0.2, 0.49), (1.0, 0.0)])

@@ -72,7 +72,8 @@ _ELEMENT_PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-_NOISE_PARAMETERS = frozenset({"noisy"})  # for noise analyses; rejected in dialects
+# parameters only for noise analyses; dialects omit them, because they refuse noise analyses
+_NOISE_PARAMETERS = frozenset({"noisy"})
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
     rf"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:{_EXPONENT})?((?!{_EXPONENT})[a-z]\w*)(?![\w.])", re.I

@@ -155,12 +155,12 @@ class VerilogNames(ExpressionWriter):
             case CircuitVariable("v", names):
                 return self.across(names)
             case CircuitVariable("i", (source, *_)):
-                return f"I({self.branch(source)})"
+                return f"I({self.name_branch(source)})"
             case Binary("^", left, right):
                 return f"pow(abs({self.write(left)}), {self.write(right)})"
         return super().write(tree, level)
 
-    def branch(self, source: str) -> str:
+    def name_branch(self, source: str) -> str:
         """Return the name of the Verilog-A branch of a voltage source."""
         return f"br_{self.prefix}{source.lower()}"
 
@@ -310,7 +310,7 @@ def _add_contribution(part: Element, names: VerilogNames) -> None:
     a, b = map(names.node, part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
     if part.quantity == "V" or (part.kind in "vleh" and not part.quantity):
-        branch = names.branch(part.name)
+        branch = names.name_branch(part.name)
         through = f"V({branch})"
         module.branches.append(f"branch ({a},{b}) {branch};")
     right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
@@ -328,7 +328,7 @@ def _add_contribution(part: Element, names: VerilogNames) -> None:
 
 def _element_contribution(part: Element, names: VerilogNames, across: str) -> str:
     """Return the contribution statement of an element that is no behavioural source."""
-    current = f"I({names.branch(part.name)})"
+    current = f"I({names.name_branch(part.name)})"
     match part.kind:
         case "r":
             return f"{across}/{_card_value(part, names)}"
@@ -344,7 +344,7 @@ def _element_contribution(part: Element, names: VerilogNames, across: str) -> st
         case "e" | "g":
             return f"{_card_value(part, names)}*{names.across(part.nodes[2:])}"
         case "f" | "h":
-            return f"{_card_value(part, names)}*I({names.branch(part.sources[0])})"
+            return f"{_card_value(part, names)}*I({names.name_branch(part.sources[0])})"
         case "s":
             return f"{across}/{_switch_resistance(part, names)}"
         case "i":
@@ -411,7 +411,7 @@ def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
     first, second = coils
     product = f"{names.value(first.values[0])}*{names.value(second.values[0])}"
     mutual = f"{_card_value(part, names)}*sqrt({product})"
-    one, two = names.branch(first.name), names.branch(second.name)
+    one, two = names.name_branch(first.name), names.name_branch(second.name)
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 

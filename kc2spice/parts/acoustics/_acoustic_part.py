@@ -188,7 +188,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[FluidKeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         n, first = part.name, self.ends(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
         across = format_voltage(build.net(part, first), build.net(part, AMBIENT)) or "v(0)"

@@ -52,13 +52,13 @@ class CavityKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Surface of the walls; by default that of a cube of this volume",
+        description="Surface of the walls; by default the surface of a cube of this volume",
     )
     length: Length | None = Field(
         None,
         ge=SMALLEST_LENGTH,
         le=LARGEST_LENGTH,
-        description="Longest inner dimension; by default the edge of a cube",
+        description="Longest inner dimension; by default the edge of a cube of this volume",
     )
     wall_losses: bool = Field(
         True, description="Whether the walls absorb heat, which causes losses at low frequencies"

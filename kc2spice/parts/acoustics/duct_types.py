@@ -275,7 +275,7 @@ class DuctPart(AcousticPart[DuctKeys]):
             yield Element.of(FAR_METER, "out", FAR_END, "0")
 
     def vectors(self, part: Part[DuctKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         n, flow = part.name, ACOUSTIC.through_variable
         near = f"{n}.{flow.symbol}"
         result = dict(super().vectors(part, build))

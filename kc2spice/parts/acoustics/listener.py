@@ -261,7 +261,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[ListenerKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         sources = self.radiating_surfaces(part, build.scene)
         pressure = replace(
             build.across(part, OUT),

@@ -195,7 +195,7 @@ stop = "20 kHz"
         yield Element.of("Csound", SOUND, AMBIENT, f"{{1/({mass}*density*{corner}*{corner})}}")
 
     def vectors(self, part: Part[RadiationKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         level = part.keys.fluid.level_reference
         ends = format_voltage(build.net(part, SOUND), build.net(part, AMBIENT))
         sound = replace(

@@ -157,9 +157,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         recorded loads instead.
 
         A large pointwise error at a sharp resonance may have no effect under the recorded loads,
-        and a small error does not apply to loads above the band. The error under load is the
-        difference between the responses of the reduced model and of a model with more states to the
-        recorded forces and voltages.
+        and a small error does not apply to loads above the band. For the error under load, the
+        recorded forces and voltages drive the reduced model and a model with more states. The error
+        is the difference between their responses.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR

@@ -235,7 +235,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
 
     def reduce_ranges(self, part: Part[LinearKeysT], task: RangeTask) -> ModelOverRanges:
-        """Reduce the models of the part over the ranges of a task."""
+        """Return a reduced model of the part over the parameter ranges of ``task``."""
         from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 
         return reduce_over_ranges(task)

@@ -90,7 +90,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         )
 
     def vectors(self, part: Part[LinearKeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         result: dict[str, Vector] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:

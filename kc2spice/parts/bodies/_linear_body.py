@@ -56,7 +56,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        z = measured_impedance(part, waves)
+        z = compute_impedance(part, waves)
         if z is None:
             return {}
         from kc2spice.bodies.impedance import analyse_impedance
@@ -151,7 +151,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figures of the report."""
         yield from _pictures.plot_port_waves(part.name, waves)
-        z = measured_impedance(part, waves)
+        z = compute_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
             f = waves["frequency"].real
@@ -285,9 +285,10 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """Return the impedance ``V / I`` (frequencies,) [Ohm] at the first electrical port.
+def compute_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
+    """Return the impedance ``V / I`` [Ohm] at the first electrical port from waves of a run.
 
+    The shape is (frequencies,).
     The result is None without recorded V and I, or if the body supplies the circuit: V / I is then
     not the impedance of the body.
     """

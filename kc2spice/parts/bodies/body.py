@@ -523,14 +523,14 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     if group in keys.axes:
         turned = keys.axes[group].apply(plain)
         if isinstance(turned.local_axes, CylindricalAxes):
-            _require_axis_of_revolution(keys, turned.local_axes, f"axes.{group}")
+            _require_mesh_axis(keys, turned.local_axes, f"axes.{group}")
         return turned
     direction = keys.poling.get(group, (0.0, 0.0, 1.0))
     if isinstance(direction, str):
         direction = PolingKeys(direction=_CYLINDRICAL_VECTORS[direction])
     if isinstance(direction, PolingKeys) and direction.direction:
         about = CylindricalAxes(direction.axis, direction.through)
-        _require_axis_of_revolution(keys, about, f"poling.{group}")
+        _require_mesh_axis(keys, about, f"poling.{group}")
         return replace(plain.poled(direction.direction), local_axes=about)
     assert isinstance(direction, tuple)
     poled = plain.poled(direction)
@@ -541,8 +541,8 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     )
 
 
-def _require_axis_of_revolution(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
-    """Check that cylindrical axes of an axisymmetric mesh equal the axes of the mesh."""
+def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
+    """Check that, on an axisymmetric mesh, cylindrical axes are about z through the origin."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
         problem = "the axis of an axisymmetric mesh must be z through the origin"
         hint = "leave out axis and through, or z and origin"

@@ -424,7 +424,10 @@ dc = "1 W"
         return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the ports; a port joined to one part has its heat flow."""
+        """Return the ngspice vectors of the results of the ports, keyed by result name.
+
+        A port that is joined to one part also has the heat flow as a result.
+        """
         result = dict(super().vectors(part, build))
         for port in self.used_ports(part, build.scene):
             flow = find_current_into(part, port.terminals[0], build)

@@ -24,7 +24,7 @@ class Control(Section):
         10.0, ge=0, description="Integral gain of the controller"
     )
     kd: Annotated[float, si("A s/m")] = Field(
-        20.0, ge=0, description="Differential gain of the controller"
+        20.0, ge=0, description="Derivative gain of the controller"
     )
     rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")

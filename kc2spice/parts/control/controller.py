@@ -145,7 +145,7 @@ wiring = "parallel"
         return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
     def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, SampledSource]:

@@ -146,7 +146,7 @@ dc = "1 um"
         return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
 
     def vectors(self, part: Part[SensorKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         return {f"{part.name}.y": build.across(part, "out")}
 
     def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | laws.MissingEquations:

@@ -232,7 +232,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         result, (plus, minus) = {}, self.ends
         nets = (
             (sign, build.net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
@@ -271,17 +271,17 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        from kc2spice.parts.bodies._linear_body import impedance_metrics, measured_impedance
+        from kc2spice.parts.bodies._linear_body import compute_impedance, impedance_metrics
 
-        z = measured_impedance(part, waves)
+        z = compute_impedance(part, waves)
         return {} if z is None else impedance_metrics(waves["frequency"].real, z)
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
         """Yield the figures of the report."""
-        from kc2spice.parts.bodies._linear_body import measured_impedance
+        from kc2spice.parts.bodies._linear_body import compute_impedance
         from kc2spice.parts.bodies._pictures import IMPEDANCE_CAPTION, plot_impedances
 
-        z = measured_impedance(part, waves)
+        z = compute_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}{IMPEDANCE_CAPTION}"
             yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)

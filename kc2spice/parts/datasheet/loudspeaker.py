@@ -252,7 +252,10 @@ stop = "1 kHz"
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the declaration, and current and voltage of the whole part."""
+        """Return the ngspice vectors of the part's results, keyed by result name.
+
+        The results are those of the declaration, and the current and voltage of the whole part.
+        """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
             whole = current("i", "plus", "minus")
@@ -278,7 +281,7 @@ stop = "1 kHz"
             largest = float(np.abs(x).max())
             yield Check(f"excursion of {part.name}", largest, limit, "m", advice, "warn")
 
-    def _measured_impedance(
+    def _compute_impedances(
         self, part: Part[LoudspeakerKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies [Hz] and impedances [Ohm] from a small-signal response."""
@@ -291,7 +294,7 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        result = self._measured_impedance(part, waves)
+        result = self._compute_impedances(part, waves)
         if result is None:
             share = compute_efficiency(part, build.scene, waves) if "time" in waves else None
             return {} if share is None else {"efficiency": Metric(float(share[0]), "")}
@@ -307,7 +310,7 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
         """Yield the figures of the report."""
-        result = self._measured_impedance(part, waves)
+        result = self._compute_impedances(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
             from kc2spice.parts.bodies._pictures import plot_impedances

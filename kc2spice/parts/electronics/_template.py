@@ -242,7 +242,7 @@ class Driver(TemplatePart[KeysT]):
         )
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         if build.scene.analysis.type != "transient":
             return {}
         result = pin_voltages(part, build, ("command", *self.terminals))

@@ -81,7 +81,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return laws.Equations((junction,), ends, results)
 
     def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 

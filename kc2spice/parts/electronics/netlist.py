@@ -208,7 +208,10 @@ class Netlist(PartType[NetlistKeys]):
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results: rated pins, and pins, currents and inner nodes that probes read."""
+        """Return the ngspice vectors of the part's results, keyed by result name.
+
+        The results are voltages of rated pins, and pins, currents and inner nodes that probes read.
+        """
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probe_names(part, scene))

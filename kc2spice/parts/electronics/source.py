@@ -309,7 +309,7 @@ class Source(PartType[SourceKeys]):
         return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit

@@ -250,7 +250,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         if is_heated(part, build.scene):
             return super().vectors(part, build)
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch

@@ -217,7 +217,10 @@ class Gap(PatchedPart[GapKeys]):
             )
 
     def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results without the forces at the pins of the film, which are zero."""
+        """Return the ngspice vectors of the part's results, keyed by result name.
+
+        The forces at the pins of the film are zero, and are not among the results.
+        """
         result = super().vectors(part, build)
         return {name: row for name, row in result.items() if ".film_force" not in name}
 
@@ -232,7 +235,7 @@ class Gap(PatchedPart[GapKeys]):
         yield from super().checks(part, build, waves)
         yield from _check_film(part, build, waves)
         d, recorded = (
-            self.resolved_declaration(part, build.scene),
+            self.declare_part(part, build.scene),
             self._recorded_variables(part, build, waves),
         )
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):

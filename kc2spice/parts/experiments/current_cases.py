@@ -116,7 +116,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         result = {f"{_find_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_force_names(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")

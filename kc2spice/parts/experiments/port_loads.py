@@ -140,7 +140,10 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
-        """Return complex results ``INPUT>OUTPUT`` in m, C and V."""
+        """Return the ngspice vectors of the responses, keyed ``INPUT>OUTPUT``.
+
+        Responses of rings are in m. Responses of the anode are in C, or in V with an open anode.
+        """
         body = find_loaded_body(part, build.scene)
         rings = _list_loaded_rings(body, build.scene)
         meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")

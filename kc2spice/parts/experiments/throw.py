@@ -67,7 +67,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
             )
 
     def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
-        """Return the sphere with its initial velocity and height."""
+        """Return the sphere with the initial velocity and height that this part sets."""
         return {find_sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:

@@ -373,7 +373,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         if not _is_driven(part, build.scene):
             return {}
         prefix, inst = result_prefix(part), f"x{part.name.lower()}"

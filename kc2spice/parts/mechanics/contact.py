@@ -159,13 +159,13 @@ class Contact(DeclaredPart[ContactKeys]):
             assert pair.contact_force  # the type checker cannot infer this type
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         n, pair, d = (
             part.name,
             make_pair(part, build.scene),
             self.make_declaration(part, build.scene),
         )
-        card, heated = f"@b.x{n}.b{{}}[i]", self.resolved_declaration(part, build.scene).heat_branch
+        card, heated = f"@b.x{n}.b{{}}[i]", self.declare_part(part, build.scene).heat_branch
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
         result = {}
         for port in pair.ports:
@@ -324,7 +324,10 @@ def _declare(
 
 
 def _sum_factors(pair: ContactPair) -> dict[str, float]:
-    """Return the factors of results that are sums of forces; only a groove has ``flank``."""
+    """Return the factor on the sum of the port forces for each total result.
+
+    The results are ``force``, and ``flank`` for a groove.
+    """
     return {"force": 1.0} | (
         {} if pair.half_angle_sine is None else {"flank": 1 / (2 * pair.half_angle_sine)}
     )

@@ -249,7 +249,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the results of the part, keyed by name."""
+        """Return the ngspice vectors of the part's results, keyed by result name."""
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Probe]:

@@ -63,7 +63,7 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
     for compute_difference in differences:
-        resolved &= compute_difference.has_equal_modes(time)
+        resolved &= compute_difference.mask_equal_modes(time)
     waves = {name: values[resolved] for name, values in exact.results.data.items()}
     at = time[resolved]
     for compute_difference in differences:
@@ -85,10 +85,10 @@ class Difference:
     apart: np.ndarray
     events: tuple[float, ...]
 
-    def has_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return whether both models are in the same mode at each ``time``.
+    def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
+        """Return a mask of the ``time`` at which both models are in the same mode.
 
-        The result is false within the step that contains an event. It is also false next to a step
+        The mask is false within the step that contains an event. It is also false next to a step
         at whose end only one model has changed its mode.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
