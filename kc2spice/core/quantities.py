@@ -877,11 +877,11 @@ def _suggest_spelling(value: object, si: str) -> str | None:
         return f"write the value without brackets: {inner}"
     if not isinstance(value, str):
         return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+    if len(value) > _MAX_QUANTITY_LENGTH:
+        return f"write a number of at most {_MAX_QUANTITY_LENGTH} characters"
     if several := _SEVERAL_VALUES.match(value):
         first = (several[1] or several[2]).strip()
         return f'write one value, such as  "{first}"; kc2spice sweep accepts a range or a list'
-    if len(value) > _MAX_QUANTITY_LENGTH:
-        return f"write a number of at most {_MAX_QUANTITY_LENGTH} characters"
     begun = _NUMBER.fullmatch(value.rstrip())
     word = "" if begun is None or _parse_unit(begun[2]) else begun[2].lower().removesuffix("s")
     if begun is not None and (symbol := _UNIT_WORDS.get(word)):
