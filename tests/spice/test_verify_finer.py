@@ -58,7 +58,7 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     tmp_path, monkeypatch, branches, passed
 ):
     """The integrator takes minutes for this film; as for parts without a law it is left out."""
-    monkeypatch.setattr(SceneLaws, "missing", ("g",))
+    monkeypatch.setattr(SceneLaws, "parts_without_law", ("g",))
     monkeypatch.setattr(verify, "find_replayed_nets", lambda laws: None)
     text = FILM.replace(SMALL_SIGNAL_ANALYSES, IN_TIME)
     sine = 'sine = { amplitude = "1 mN", frequency = "2 MHz" }'
