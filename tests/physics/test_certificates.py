@@ -62,7 +62,7 @@ def test_estimate_is_between_the_error_and_three_times_it(seed, norm):
 
 @pytest.mark.parametrize(
     ("unknowns", "dashpot", "way"), [(90, 0.0, "these are all states"), (310, 0.3, "compared"),
-                                     pytest.param(1310, 0.0, "more states", marks=pytest.mark.slow)],
+                                     pytest.param(1310, 0.0, "more", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns, dashpot, way):
     """It stops as early as it may, so that its error is large where it is not all of the model."""
