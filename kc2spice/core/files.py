@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from kc2spice.core.errors import UsageError
+from kc2spice.core.errors import UsageError, did_you_mean
 
 # Main output files. These files are deleted first and written last. A reader therefore never finds
 # # an incomplete set of files, even if the process is killed between two renames.
@@ -27,6 +27,20 @@ _SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _MAX_RECORD_BYTES = 10_000_000  # bytes of a ``result.json`` that is read again
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
+
+
+def suggest_file(path: Path) -> str | None:
+    """Suggest an existing file with a name similar to the name of a missing file.
+
+    Files with the same suffix have precedence. A TOML file replaces only a TOML file.
+    """
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):
+        names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
+    suffix = path.suffix.lower()
+    same = [name for name in names if name.lower().endswith(suffix)]
+    others = [name for name in names if not name.endswith(".toml")]
+    return did_you_mean(path.name, same) or did_you_mean(path.name, others)
 
 
 @contextmanager

@@ -24,7 +24,8 @@ import numpy as np
 from skfem.mesh import Mesh
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown, wrong
+from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
+from kc2spice.core.files import suggest_file
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
@@ -314,8 +315,7 @@ def _read_content(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
             expected = f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}"
-            near = did_you_mean(path.stem, (item.stem for item in path.parent.glob("*.*")))
-            hint = near or f"copy {path.name} into the folder {path.parent}"
+            hint = suggest_file(path) or f"copy {path.name} into the folder {path.parent}"
             raise wrong(path.name, "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
         hint = f"check the permissions and the size of {path}"

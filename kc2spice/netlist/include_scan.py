@@ -22,6 +22,7 @@ from operator import attrgetter
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
+from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import (
     explain_unsafe_name,
     make_encoding_error,
@@ -270,11 +271,6 @@ def _is_missing(path: Path) -> bool:
 
 def make_missing_netlist_error(path: Path) -> UsageError:
     """Return the error for the netlist ``path`` of a part, which is missing or a directory."""
-    try:
-        names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
-    except OSError:
-        names = []
-    near = did_you_mean(path.name, [name for name in names if not name.endswith(".toml")])
     if path.is_dir():
         inside = sorted(item.name for item in path.glob("*.*") if item.suffix in _NETLIST_SUFFIXES)
         return UsageError(
@@ -287,7 +283,7 @@ def make_missing_netlist_error(path: Path) -> UsageError:
         "this netlist file does not exist",
         where=path.name,
         expected="a file of subcircuits in the folder of the scene",
-        hint=near or f"copy {path.name} into the folder {path.resolve().parent}",
+        hint=suggest_file(path) or f"copy {path.name} into the folder {path.resolve().parent}",
     )
 
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core import __version__
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError
+from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
 from kc2spice.netlist.expression import literal_value
@@ -194,8 +195,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
         message = "this library cannot be read"
         hint = f"check the permissions and the encoding of {path}"
         if isinstance(error, FileNotFoundError):
-            similar = did_you_mean(path.stem, (item.stem for item in path.parent.glob("*.*")))
-            hint = similar or f"copy {path.name} to {path.parent.absolute()}"
+            hint = suggest_file(path) or f"copy {path.name} to {path.parent.absolute()}"
             message = "this file does not exist"
         raise UsageError(
             message,

@@ -23,7 +23,6 @@ import re
 import zipfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -32,7 +31,8 @@ import numpy as np
 from scipy import io, sparse
 
 from kc2spice.core import untrusted_files
-from kc2spice.core.errors import Kc2spiceError, UsageError, did_you_mean
+from kc2spice.core.errors import Kc2spiceError, UsageError
+from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import call_in_child
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
@@ -97,12 +97,8 @@ def is_file(path: Path) -> bool:
 def make_missing_error(path: Path, what: str) -> UsageError:
     """Make the error for a file that does not exist; ``what`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
-    names: list[str] = []
-    with suppress(OSError, ValueError):
-        names = sorted(item.name for item in path.parent.iterdir())
-    hint = did_you_mean(path.name, names) or f"copy {path.name} into the folder {path.parent}"
-    if path.parent == Path():
-        hint = hint.replace("the folder .", "this folder")
+    folder = "this folder" if path.parent == Path() else f"the folder {path.parent}"
+    hint = suggest_file(path) or f"copy {path.name} into {folder}"
     return UsageError("this file does not exist", where=where, expected=what, hint=hint)
 
 
@@ -351,24 +347,12 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     arrays = untrusted_files.read_archive(
         path, is_known, entries=size_limit, total=limit_unpacked_bytes(path)
     )
-    contained = list_member_names(path)
     for name in letters:
         if not any(key.partition(".")[0] == name for key in arrays):
-            raise ValueError(f"the file contains no matrix {name}, only {', '.join(contained)}")
+            contained = ", ".join(_list_member_names(path))
+            raise ValueError(f"the file contains no matrix {name}, only {contained}")
     if not any(key.partition(".")[0] in {*plain, *letters} for key in arrays):
-        lower = {name.lower(): name for name in contained}
-        renamed = {letter: lower[letter.lower()] for letter in LETTERS if letter.lower() in lower}
-        names = ", ".join(f'{letter} = "{name}"' for letter, name in renamed.items())
-        hint = 'name the matrices in the TOML file, such as  matrices = { K = "stiffness" }'
-        if names:
-            hint = f"write  matrices = {{ {names} }}  into {path.stem}.toml"
-        raise UsageError(
-            "this file contains no matrix with a known name",
-            where=str(path),
-            got=", ".join(contained[:5]) or "an empty archive",
-            expected=f"matrices with the names {', '.join(LETTERS)}",
-            hint=hint,
-        )
+        raise _make_unknown_names_error(path)
     result = {}
     for key, array in arrays.items():
         name, dot, part = key.partition(".")
@@ -376,8 +360,26 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     return _unpack_raw(result, path)
 
 
-def list_member_names(path: Path) -> list[str]:
-    """List the names of the matrices in an archive, of which a sparse matrix has several arrays."""
+def _make_unknown_names_error(path: Path) -> UsageError:
+    """Make the error for an archive that contains no matrix with a known name."""
+    contained = _list_member_names(path)
+    lower = {name.lower(): name for name in contained}
+    renamed = {letter: lower[letter.lower()] for letter in LETTERS if letter.lower() in lower}
+    names = ", ".join(f'{letter} = "{name}"' for letter, name in renamed.items())
+    hint = 'name the matrices in the TOML file, such as  matrices = { K = "stiffness" }'
+    if names:
+        hint = f"write  matrices = {{ {names} }}  into {path.stem}.toml"
+    return UsageError(
+        "this file contains no matrix with a known name",
+        where=str(path),
+        got=", ".join(contained[:5]) or "an empty archive",
+        expected=f"matrices with the names {', '.join(LETTERS)}",
+        hint=hint,
+    )
+
+
+def _list_member_names(path: Path) -> list[str]:
+    """List the names of the matrices in an archive; a sparse matrix consists of several arrays."""
     with zipfile.ZipFile(path) as archive:
         members = (item.filename.removesuffix(".npy") for item in archive.infolist())
         return list(dict.fromkeys(name.partition(".")[0][:40] for name in members))
