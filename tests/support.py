@@ -62,9 +62,11 @@ NAMES_BY_MODULE = {
         "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
     ),
     "kc2spice.core.quantities": (
-        "BOLTZMANN DEFAULT_TEMPERATURE RefinementRule Ratio Section _parse_unit plausible_range_of "
-        "quantity find_section validate"
+        "BOLTZMANN DEFAULT_TEMPERATURE RefinementRule Ratio Section quantity"
     ),
+    "kc2spice.core.key_errors": "validate",
+    "kc2spice.core.schemas": "find_section plausible_range_of",
+    "kc2spice.core.units": "parse_unit",
     "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
     "kc2spice.core.untrusted_files": (

@@ -229,11 +229,11 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     last = word.rpartition(".")[2].lower()
     near = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
     if not near:  # spelling of a part number, as 7BB-20-6 for buzzer_7bb_20_6
-        plain = _normalise_word(word)
+        plain = normalise_word(word)
         near = [
             leaf
             for leaf in leaves
-            if len(plain) >= MIN_FRAGMENT_LENGTH and plain in _normalise_word(leaf)
+            if len(plain) >= MIN_FRAGMENT_LENGTH and plain in normalise_word(leaf)
         ][:1]
     if not near:  # a longer form of a name, such as topelectrode for topel
         near = [
@@ -242,6 +242,6 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     return f"did you mean {leaves[near[0]]!r}?" if near else None
 
 
-def _normalise_word(word: str) -> str:
+def normalise_word(word: str) -> str:
     """Return the letters and digits of a word in lower case."""
     return "".join(ch for ch in word.lower() if ch.isalnum())

@@ -41,6 +41,7 @@ from kc2spice.core.errors import (
     name_part_in_errors,
     wrong,
 )
+from kc2spice.core.key_errors import validate
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -50,7 +51,6 @@ from kc2spice.core.quantities import (
     invalid_value_error,
     quantity,
     si,
-    validate,
 )
 
 TENSOR_ROUNDING = 1e-12  # rounding error of a tensor, relative to its largest component

@@ -18,7 +18,8 @@ from pydantic import Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
-from kc2spice.core.quantities import Density, Section, invalid_value_error, si, validate
+from kc2spice.core.key_errors import validate
+from kc2spice.core.quantities import Density, Section, invalid_value_error, si
 from kc2spice.fem.materials import make_unknown_base_error, material
 
 Conductivity = Annotated[float, si("W/(m K)")]

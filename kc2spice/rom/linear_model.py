@@ -17,7 +17,7 @@ import scipy
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
-from kc2spice.core.quantities import clip_text
+from kc2spice.core.toml_text import clip_text
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry, to_dense
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.state_space import ABCD, state_space

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.quantities import find_unit, list_keys
+from kc2spice.core.schemas import find_unit, list_keys
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import load_part_types
 from kc2spice.scene.settings import Probe, SceneKeys

@@ -15,14 +15,11 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.domains import QUANTITIES
-from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.core.part_type_synonyms import PART_TYPE_SYNONYMS
-from kc2spice.core.quantities import (
-    clip_text,
-    describe_invalid,
-    display_text,
-    list_keys,
-)
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
+from kc2spice.core.key_errors import describe_invalid
+from kc2spice.core.schemas import list_keys
+from kc2spice.core.synonyms import PART_TYPE_SYNONYMS
+from kc2spice.core.toml_text import clip_text, display_text
 from kc2spice.core.untrusted_files import (
     make_identifier,
 )
@@ -369,8 +366,7 @@ def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
 
 def _suggest_part_type(typed: object) -> str | None:
     """Suggest the part type with the meaning of a name of another program."""
-    word = "".join(filter(str.isalnum, str(typed).lower()))
-    kind = PART_TYPE_SYNONYMS.get(word)
+    kind = PART_TYPE_SYNONYMS.get(normalise_word(str(typed)))
     return f'write  part = "{kind}"' if kind in type_names() else None
 
 

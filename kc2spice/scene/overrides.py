@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean
-from kc2spice.core.quantities import clip_text
+from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
 from kc2spice.scene.scene_file import open_scene
 
@@ -81,18 +80,6 @@ def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple
             yield from _flatten_tables(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
-
-
-def format_toml(value: Any) -> str:
-    """Return a value as TOML text with all digits, as in a scene file."""
-    if isinstance(value, Mapping):
-        items = (f"{json.dumps(key)} = {format_toml(item)}" for key, item in value.items())
-        return "{" + ", ".join(items) + "}"
-    if hasattr(value, "tolist"):  # numpy arrays and numbers
-        return format_toml(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(format_toml, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
 # Pattern of a key and a value that are separated by a colon or a blank, not by an equals sign.

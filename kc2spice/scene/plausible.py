@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import PLAUSIBLE_MASS, Plausible, plausible_range_of
+from kc2spice.core.quantities import PLAUSIBLE_MASS, Plausible
+from kc2spice.core.schemas import plausible_range_of
 
 if TYPE_CHECKING:
     from kc2spice.scene.model import Build, Scene

@@ -10,7 +10,8 @@ from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, list_candidates
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import find_unit, quantity
+from kc2spice.core.quantities import quantity
+from kc2spice.core.schemas import find_unit
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plausible import (
     ImplausibleError,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
-from kc2spice.core.quantities import join_path
+from kc2spice.core.schemas import join_path
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import (
     MAX_TEXT_BYTES,

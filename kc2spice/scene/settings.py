@@ -409,10 +409,11 @@ class Probe(Section):
     """
 
     of: str = Field(
+        examples=['"PART.RESULT"'],
         description=(
             "Result that the probe reads, such as disc.x, NETLIST.NODE, PART.current, "
             "PART.PIN.force or PART.power"
-        )
+        ),
     )
     take: Literal[
         "max",

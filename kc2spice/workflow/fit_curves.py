@@ -16,7 +16,8 @@ from pydantic import ConfigDict, Field
 
 from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Frequency, Section, validate
+from kc2spice.core.key_errors import validate
+from kc2spice.core.quantities import Frequency, Section
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import read_bounded
 

@@ -6,18 +6,18 @@ from support import (
     PORTS,
     QUANTITIES,
     TABLE,
-    _parse_unit,
     across_of,
     domain_of,
+    parse_unit,
     quantity,
 )
 
-WATT = _parse_unit("W")
+WATT = parse_unit("W")
 
 
 def dimension(unit):
     """Exponents of kg, m, s, A and K, and the power of ten in front."""
-    return _parse_unit(unit.replace("rad", "1").replace("Nm", "N m"))
+    return parse_unit(unit.replace("rad", "1").replace("Nm", "N m"))
 
 
 def product(*units):

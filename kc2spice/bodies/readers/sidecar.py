@@ -92,7 +92,8 @@ from kc2spice.core.domains import (
     TRANSLATION,
 )
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
-from kc2spice.core.quantities import Count, Section, invalid_value_error, validate
+from kc2spice.core.key_errors import validate
+from kc2spice.core.quantities import Count, Section, invalid_value_error
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.rom.linear_model import PORT_KINDS, Port
@@ -237,7 +238,7 @@ class Fixed(NodeSelection):
 class PortEntry(NodeSelection):
     """Table ``[[ports]]``: nodes and direction of a port, or numbers of its column and row."""
 
-    name: Name
+    name: Name = Field(examples=['"tip"'])
     kind: Literal[PORT_KINDS]  # type: ignore[valid-type]
     dof: Dof | None = None
     axis: Axis | None = None
@@ -372,9 +373,9 @@ class MatrixDamping(Section):
 class ParameterEntry(Section):
     """Parameter of the subcircuit with its default, its range and its unit."""
 
-    default: Finite
-    low: Finite
-    high: Finite
+    default: Finite = Field(examples=["1.0"])
+    low: Finite = Field(examples=["0.5"])
+    high: Finite = Field(examples=["2.0"])
     unit: Unit = "-"
     description: Annotated[str, Field(max_length=200), AfterValidator(_require_printable)] = ""
 
@@ -386,7 +387,7 @@ class TermEntry(Section):
     """
 
     matrix: Literal["M", "K", "E"]
-    factor: Annotated[str, Field(min_length=1, max_length=200)]
+    factor: Annotated[str, Field(min_length=1, max_length=200)] = Field(examples=['"t/1.5"'])
     file: File | None = None
     name: Name | None = None
 

@@ -12,7 +12,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError, did_you_mean, wrong
-from kc2spice.core.quantities import find_unit, join_path, list_keys, validate
+from kc2spice.core.key_errors import validate
+from kc2spice.core.schemas import find_unit, join_path, list_keys
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis

@@ -22,7 +22,8 @@ class FilmKeys(Section):
     """Heat transfer from faces to a fluid, in proportion to the difference of temperatures."""
 
     group: str = Field(
-        description="Group of faces that transfer heat to the fluid; top or bottom for layers"
+        examples=['"top"'],
+        description="Group of faces that transfer heat to the fluid; top or bottom for layers",
     )
     coefficient: FilmCoefficient = Field(
         ge=0,
@@ -50,8 +51,9 @@ class InterfaceKeys(Section):
     """Joint between two materials, with a thermal resistance."""
 
     between: tuple[str, str] = Field(
+        examples=['["case", "chip"]'],
         description="The two groups of elements on both sides of the interface, with their "
-        "names in the key materials"
+        "names in the key materials",
     )
     resistance: InterfaceResistance = Field(
         gt=0, description="Thermal resistance of the joint, multiplied by its area"
@@ -61,7 +63,9 @@ class InterfaceKeys(Section):
 class LayerKeys(Section):
     """Layer of a stack; heat flows perpendicularly through the layer."""
 
-    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    material: str | dict[str, Any] = Field(
+        examples=['"steel"'], description="Material of the layer, a name or a table"
+    )
     thickness: Length = Field(gt=0, description="Thickness of the layer")
     area: Area = Field(gt=0, description="Cross-sectional area through which the heat flows")
     resistance: InterfaceResistance | None = Field(

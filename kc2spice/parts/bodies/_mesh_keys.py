@@ -21,8 +21,9 @@ Point: TypeAlias = tuple[Length, Length, Length]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 MESH_FIELD = Field(  # field of the key ``mesh`` for bodies that require this key
+    examples=['"part.msh"'],
     description="Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, "
-    ".exo, .e, .step, .stp or .brep"
+    ".exo, .e, .step, .stp or .brep",
 )
 
 

@@ -25,6 +25,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.core.errors import wrong
+from kc2spice.core.key_errors import validate
 from kc2spice.core.quantities import (
     Count,
     Extent,
@@ -34,7 +35,6 @@ from kc2spice.core.quantities import (
     Thickness,
     Width,
     invalid_value_error,
-    validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -52,7 +52,9 @@ GRADING_RATIO = 1.6
 class BimorphLayer(Section):
     """Layer that covers the whole beam."""
 
-    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    material: str | dict[str, Any] = Field(
+        examples=['"steel"'], description="Material of the layer, a name or a table"
+    )
     thickness: Thickness = Field(gt=0, description="Thickness of the layer")
 
 
@@ -66,7 +68,9 @@ class BimorphKeys(FieldKeys):
 
     length: Extent = Field(gt=0, description="Free length of the beam")
     width: Width = Field(gt=0, description="Width of the beam")
-    layers: tuple[BimorphLayer, ...] = Field(min_length=1)
+    layers: tuple[BimorphLayer, ...] = Field(
+        examples=['[{ material = "PZT-5A", thickness = "0.2 mm" }]'], min_length=1
+    )
     wiring: Literal["series", "parallel"] | None = Field(
         None, description="Electrical connection of two ceramic layers"
     )

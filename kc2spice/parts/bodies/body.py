@@ -39,8 +39,9 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
+from kc2spice.core.key_errors import validate
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Section, invalid_value_error, validate
+from kc2spice.core.quantities import Section, invalid_value_error
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
@@ -101,7 +102,7 @@ class FixedKeys(Section):
     In an axisymmetric body, ``x`` is the radial axis.
     """
 
-    group: str = Field(description="Mesh group whose nodes are clamped")
+    group: str = Field(examples=['"top"'], description="Mesh group whose nodes are clamped")
     axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
         "xyz",
         description=(
@@ -121,7 +122,7 @@ class PortKeys(Section):
     group, ``at`` selects the mesh node nearest to a point.
     """
 
-    name: Name = Field(description="Name of the port and of its pin")
+    name: Name = Field(examples=['"tip"'], description="Name of the port and of its pin")
     group: str | None = Field(None, description="Mesh group on which the port acts")
     at: Point | None = Field(None, description="Point whose nearest mesh node is the port")
     axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
@@ -306,7 +307,9 @@ class BodyKeys(MeshKeys):
 
     mesh: Annotated[MeshFile, MESH_FIELD]
     materials: dict[str, str | dict[str, Any]] = Field(
-        min_length=1, description="Material of each mesh group, a name or a table"
+        examples=['{ GROUP = "steel" }  with a group of the mesh'],
+        min_length=1,
+        description="Material of each mesh group, a name or a table",
     )
     poling: dict[str, Vector | Literal["radial", "tangential"] | PolingKeys] = Field(
         default_factory=dict,

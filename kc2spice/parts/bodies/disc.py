@@ -24,16 +24,9 @@ from pydantic import Field, model_validator
 from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.key_errors import validate
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import (
-    Length,
-    Ratio,
-    Section,
-    Thickness,
-    Width,
-    invalid_value_error,
-    validate,
-)
+from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, invalid_value_error
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -67,7 +60,9 @@ class DiscLayer(Section):
     ``electrodes`` is the diameter of the electrodes on faces that touch no metal layer.
     """
 
-    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    material: str | dict[str, Any] = Field(
+        examples=['"steel"'], description="Material of the layer, a name or a table"
+    )
     diameter: Width = Field(gt=0, description="Outer diameter of the layer")
     thickness: Thickness = Field(gt=0, description="Thickness of one layer of the disc")
     electrodes: Length | None = Field(
@@ -126,7 +121,10 @@ class DiscKeys(FieldKeys):
     the highest electrode, and the electrodes in between float.
     """
 
-    layers: tuple[DiscLayer, ...] = Field(min_length=1)
+    layers: tuple[DiscLayer, ...] = Field(
+        examples=['[{ material = "PZT-5A", diameter = "20 mm", thickness = "0.2 mm" }]'],
+        min_length=1,
+    )
     support: Literal["free", "clamped", "simply_supported"] | Node = "free"
     wiring: Literal["parallel", "series"] = Field(
         "parallel", description="Electrical connection of several ceramic layers"

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import BACK_FACE, FRONT_FACE, Block, BondedBlocks, Box, RadiatingFace
 from kc2spice.core.errors import wrong
+from kc2spice.core.key_errors import validate
 from kc2spice.core.quantities import (
     Count,
     Extent,
@@ -27,7 +28,6 @@ from kc2spice.core.quantities import (
     Thickness,
     Width,
     invalid_value_error,
-    validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -44,7 +44,9 @@ _RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
 class PieceKeys(Section):
     """Keys that all pieces of the transducer have."""
 
-    material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
+    material: str | dict[str, Any] = Field(
+        examples=['"steel"'], description="Material of the piece, a name or a table"
+    )
     quality: Ratio | None = Field(
         None, gt=0, description="Q factor of the piece, for damping.per_material"
     )
@@ -117,8 +119,13 @@ class BoltKeys(PieceKeys):
 class LangevinKeys(FieldKeys):
     """Keys of a bolted transducer; the lists of masses begin at the rings."""
 
-    front: tuple[CylinderKeys, ...] = Field(min_length=1)
-    back: tuple[CylinderKeys, ...] = Field(min_length=1)
+    front: tuple[CylinderKeys, ...] = Field(
+        examples=['[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]'],
+        min_length=1,
+    )
+    back: tuple[CylinderKeys, ...] = Field(
+        examples=['[{ material = "steel", diameter = "20 mm", length = "20 mm" }]'], min_length=1
+    )
     rings: Rings
     bolt: BoltKeys
     support: Literal["free", "back"] = Field(

@@ -31,7 +31,8 @@ class MatricesKeys(LinearKeys):
     """Matrix files beside the scene; the TOML file of the matrices names the ports."""
 
     file: FileName = Field(
-        description="Matrix file in the scene's folder, or the common NAME of several matrix files"
+        examples=['"FILE"'],
+        description="Matrix file in the scene's folder, or the common NAME of several matrix files",
     )
     sidecar: FileName | None = Field(
         None, description="TOML file that describes the ports; by default NAME.toml"

@@ -40,7 +40,8 @@ class StretchKeys(Section):
     """
 
     a: str | tuple[str, ...] = Field(
-        description="Name of the body with surface patches, or a list of its ports"
+        examples=['"BODY"'],
+        description="Name of the body with surface patches, or a list of its ports",
     )
     length: Length = Field(
         gt=0, description="Length of the beam, equal to the total length of the patches in a row"

@@ -75,9 +75,11 @@ class PinRating(Section):
 class NetlistKeys(Section):
     """Keys of a user's subcircuit: ``.subckt SUBCKT`` in ``file``, in the folder of the scene."""
 
-    file: FileName = Field(description="Netlist file in the scene's folder")
+    file: FileName = Field(examples=['"FILE"'], description="Netlist file in the scene's folder")
     subckt: str = Field(
-        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$", description="Name of the subcircuit in the file"
+        examples=['"NAME"'],
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
+        description="Name of the subcircuit in the file",
     )
     syntax: Syntax = Field(
         "ngspice",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -15,8 +16,9 @@ from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, clip_text, invalid_value_error, quantity
+from kc2spice.core.quantities import Section, invalid_value_error, quantity
 from kc2spice.core.spectrum import find_waveform_frequency
+from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.circuit import Element, Item
@@ -26,6 +28,7 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
     DeclaredScene,
+    GovernedScene,
     JoinedScene,
     Part,
     PartType,
@@ -132,13 +135,13 @@ class SourceKeys(Section):
         plain = [row for row in rows if not isinstance(row, (list, tuple))]
         if plain and len(plain) == len(rows):
             if len(rows) % 2 == 0:
-                pairs = map(list, zip(rows[::2], rows[1::2], strict=True))
-                hint = f"write  pwl = {clip_text(_format_corners(pairs))}"
+                pairs = list(zip(rows[::2], rows[1::2], strict=True))
+                hint = f"write  pwl = {clip_text(format_toml(pairs))}"
             raise invalid_value_error("the corners are not lists of two", expected, hint=hint)
         for row in rows:
             if isinstance(row, (list, tuple)) and len(row) > 2:
-                short = _format_corners([row[:2]])[1:-1]
-                hint = f"write  {short}  in place of  {_format_corners([row])[1:-1]}"
+                short = format_toml([row[:2]])[1:-1]
+                hint = f"write  {short}  in place of  {format_toml([row])[1:-1]}"
                 problem = f"a corner has {len(row)} entries"
                 raise invalid_value_error(problem, expected, hint=hint)
         return rows
@@ -165,6 +168,11 @@ class SourceKeys(Section):
         return next(iter(self._stated_waveform_keys), "dc")
 
     @property
+    def has_only_amplitude(self) -> bool:
+        """Whether the source has an amplitude for ``ac``, and no waveform."""
+        return bool(self.amplitude) and not self._stated_waveform_keys
+
+    @property
     def _stated_waveform_keys(self) -> list[str]:
         return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
@@ -172,11 +180,6 @@ class SourceKeys(Section):
     def unit(self) -> str:
         """SI unit of the values of the source."""
         return SOURCE_TYPES[self.kind].unit
-
-    @property
-    def is_zero_over_time(self) -> bool:
-        """Whether the source has no waveform."""
-        return not self._stated_waveform_keys
 
     @property
     def waveform(self) -> Waveform:
@@ -245,6 +248,17 @@ class Source(PartType[SourceKeys]):
         """Return the pins in the order of the subcircuit."""
         pins = SOURCE_TYPES[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
+
+    def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        """Warn of a source that is zero in the default analysis, a transient."""
+        yield from super().problems(part, scene)
+        if part.keys.has_only_amplitude and "analysis" not in scene.frame.model_fields_set:
+            warnings.warn(
+                f"{part.name}: the key ac has no effect, because the scene has no [analysis] and "
+                'a transient is the default: add  [analysis]  and below it  type = "ac"  and  '
+                'stop = "100 kHz"',
+                stacklevel=2,
+            )
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield the edges and the period of the waveform."""
@@ -410,19 +424,6 @@ def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
             yield Numerics(
                 f"edges of {name}, {moving.min():g} s", highest_frequency=EDGE_FACTOR / moving.min()
             )
-
-
-def _format_corners(corners: Iterable[Sequence[object]]) -> str:
-    """Format the corners of a waveform as in a scene file.
-
-    >>> _format_corners([[0, 0], ["1 ms", 5]])
-    '[[0, 0], ["1 ms", 5]]'
-    """
-    rows = []
-    for corner in corners:
-        entries = (f'"{item}"' if isinstance(item, str) else f"{item}" for item in corner)
-        rows.append(f"[{', '.join(entries)}]")
-    return f"[{', '.join(rows)}]"
 
 
 def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:

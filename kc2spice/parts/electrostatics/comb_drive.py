@@ -15,7 +15,9 @@ class CombDriveKeys(_stop.StopKeys):
     """
 
     fingers: Ratio = Field(
-        gt=0, description="Number of fingers of the moving comb, each between two fixed fingers"
+        examples=["50"],
+        gt=0,
+        description="Number of fingers of the moving comb, each between two fixed fingers",
     )
     thickness: Length = Field(
         gt=0, description="Thickness of the fingers, perpendicular to the motion and the gap"

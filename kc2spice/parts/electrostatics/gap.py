@@ -121,7 +121,8 @@ class GapKeys(_stop.StopKeys):
     """
 
     a: str | tuple[str, ...] = Field(
-        description="Name of the body with surface patches, or a list of its ports"
+        examples=['"BODY"'],
+        description="Name of the body with surface patches, or a list of its ports",
     )
     area: Annotated[float, si("m2")] = Field(
         gt=0, description="Total area of the electrode over all patches"

@@ -94,7 +94,7 @@ class CoilKeys(Section):
     width: Length = Field(gt=0, description="Radial width of the coil cross-section")
     height: Length = Field(gt=0, description="Axial height of the coil cross-section")
     y: Length = Field(description="Height of the centre of the coil cross-section")
-    turns: Ratio = Field(gt=0, description="Number of turns of the coil")
+    turns: Ratio = Field(examples=["100"], gt=0, description="Number of turns of the coil")
     resistance: Resistance = Field(gt=0, description="Resistance of the wire of the coil")
 
 

@@ -4,15 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import (
-    MU_0,
-    Current,
-    Length,
-    Ratio,
-    Resistance,
-    Stiffness,
-    si,
-)
+from kc2spice.core.quantities import MU_0, Current, Length, Ratio, Resistance, Stiffness, si
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement

@@ -41,7 +41,7 @@ BAND_RATIO = 2.0
 class ElasticSphereKeys(LinearKeys):
     """Keys of the elastic sphere ``of``, whose key ``elastic`` is this table."""
 
-    of: str = Field(description="Name of the sphere that is elastic")
+    of: str = Field(examples=['"SPHERE"'], description="Name of the sphere that is elastic")
     damping: Damping = Damping(ratio=1e-3)
     mesh: Mesh = Mesh()
 

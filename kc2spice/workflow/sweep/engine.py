@@ -29,11 +29,11 @@ from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
+from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
     PARAMETER_KEY,
     Plan,

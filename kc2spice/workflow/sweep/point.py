@@ -20,6 +20,7 @@ import numpy as np
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import DISK_FULL_ERRORS
 from kc2spice.core.progress import Clock
+from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
@@ -34,7 +35,6 @@ from kc2spice.netlist.transforms import (
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.overrides import format_toml
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.edited_parts import replace_key_value

@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
+from kc2spice.core.toml_text import format_toml
 from kc2spice.core.waveforms import quote_csv_cell
-from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import Plan
 from kc2spice.workflow.sweep.point import PointResult
 

@@ -1,0 +1,564 @@
+"""Errors about tables that do not match their schema: what is wrong, and one action."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word
+from kc2spice.core.prefix import format_quantity
+from kc2spice.core.quantities import Section, quantity
+from kc2spice.core.schemas import (
+    KeyPath,
+    find_section,
+    find_unit,
+    join_path,
+    list_keys,
+    plausible_range_of,
+)
+from kc2spice.core.synonyms import CHOICE_SYNONYMS, KEY_SYNONYMS, REPLACED_KEYS
+from kc2spice.core.toml_text import display_text, format_toml, quote_value
+from kc2spice.core.untrusted_files import make_identifier
+
+Schema = TypeVar("Schema", bound=Section)
+Explanation: TypeAlias = tuple[str, str | None, str | None]  # message, expected and hint
+
+# Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
+_UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
+# Directions of coordinate axes as lists.
+_AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
+_LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+_TEXT_LINES = ("title", "include")  # a line break in them would begin a statement of the netlist
+
+
+@dataclass(frozen=True)
+class _InvalidValue:
+    """Error of pydantic about a value, and the tables around this value.
+
+    ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
+    ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.
+    """
+
+    details: ErrorDetails
+    schema: type[BaseModel]
+    path: KeyPath
+    also: Sequence[str]
+    missing: Sequence[str]
+
+    @property
+    def place(self) -> KeyPath:
+        """Path within the schema, with the members of unions."""
+        return self.details["loc"]
+
+    @property
+    def value(self) -> Any:
+        """Value as pydantic received it."""
+        return self.details["input"]
+
+    @property
+    def context(self) -> Mapping[str, Any]:
+        """Further data of the error."""
+        return self.details.get("ctx", {})
+
+    def assign(self, value: str) -> str:
+        """Return text for a hint that sets the key to ``value``."""
+        return _write_assignment(self.path, value)
+
+
+def describe_invalid(
+    error: ValidationError,
+    schema: type[BaseModel],
+    at: KeyPath = (),
+    also: Sequence[str] = (),
+    table: object = None,
+) -> tuple[KeyPath, dict[str, Any]]:
+    """Return the path of the first invalid key, and its message, got, expected and hint.
+
+    An unknown key is reported before a missing key, because the unknown key may be a misspelling of
+    the missing key. ``at`` is the path of the table, ``also`` are accepted keys in addition to the
+    keys of the ``schema``, and ``table`` is the table as typed.
+    """
+    every = error.errors()
+    result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
+    result = _select_union_member(every, result, table)
+    missing = [str(item["loc"][-1]) for item in every if item["type"] == "missing"
+               and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
+    path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
+    typed = _find_typed_value(table, path, result["input"])
+    # the validator of a table has named the invalid key
+    if key := result.get("ctx", {}).get("key"):
+        below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
+        path, typed = (*path, *below), _find_typed_value(typed, below, None)
+    full_path, kind = (*at, *path), result["type"]
+    message, expected, hint = _explain(_InvalidValue(result, schema, full_path, also, missing))
+    if kind == "missing" and path and isinstance(path[-1], int):  # an entry of a list
+        full_path, typed = full_path[:-1], _find_typed_value(table, path[:-1], ())
+        message, expected, hint = _explain_short_list(full_path, typed, len(missing))
+        return full_path, {
+            "message": message, "got": display_text(typed), "expected": expected, "hint": hint
+        }  # fmt: skip
+    # if two keys contradict each other, the message contains the reason, and no value is quoted
+    reason_only = kind == "value_error" or (kind == "quantity" and expected is None)
+    contradicts = reason_only and isinstance(typed, Mapping)
+    got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
+    return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
+
+
+def validate(
+    schema: type[Schema],
+    table: Mapping[str, Any] | Schema,
+    where: str,
+    context: Mapping[str, Any] | None = None,
+) -> Schema:
+    """Convert a table to an instance of ``schema``; return an instance unchanged.
+
+    ``where`` names the table in errors: a key, or a file name with a final colon. The validators of
+    the schema receive ``context``.
+
+    Raises
+    ------
+    UsageError : a key is unknown or missing, has a wrong unit, or contradicts another key.
+    """
+    if isinstance(table, schema):
+        return table
+    plain = dict(table) if isinstance(table, Mapping) else table
+    try:
+        return schema.model_validate(plain, context=context)
+    except ValidationError as error:
+        path, words = describe_invalid(error, schema, table=plain)
+        inside = f"{where} " if where.endswith(":") else f"{where}."
+        place = inside + join_path(path) if path else where.removesuffix(":")
+        raise UsageError(where=place, **words) from None
+
+
+def _select_union_member(
+    every: Sequence[ErrorDetails], first: ErrorDetails, table: object
+) -> ErrorDetails:
+    """Return the error of the type that is most similar to the value, if there are several types.
+
+    A text is compared with choices, a list with lists and a table with tables.
+    """
+    place = next((k for k, step in enumerate(first["loc"]) if _is_union_member(step)), None)
+    if place is None:
+        return first
+    stem = first["loc"][:place]
+    typed = _find_typed_value(table, stem, None)
+    for item in every:
+        if item["loc"][:place] == stem and len(item["loc"]) > place:
+            member = str(item["loc"][place])
+            if isinstance(typed, str) and member.startswith("literal"):
+                return item
+            if isinstance(typed, (list, tuple)) and member.startswith(("tuple", "list")):
+                return item
+            if isinstance(typed, Mapping) and re.search(r"Keys\]?$", member):
+                return item
+    return first
+
+
+def _is_union_member(step: str | int) -> bool:
+    """Return whether a step of a pydantic path names a type instead of a key."""
+    return bool(_UNION_MEMBER.search(str(step)))
+
+
+def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
+    """Return the value at ``path`` of a table as typed; otherwise the ``converted`` value."""
+    if isinstance(converted, Mapping):
+        return converted
+    for step in path:
+        if not isinstance(table, (Mapping, list, tuple)):
+            return converted
+        try:
+            table = table[step]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError):
+            return converted
+    return table
+
+
+def _explain(invalid: _InvalidValue) -> Explanation:
+    """Return message, expected and hint of a validation error."""
+    explain = _EXPLANATIONS.get(invalid.details["type"])
+    if explain is None:
+        return invalid.details["msg"], invalid.context.get("expected"), None
+    return explain(invalid)
+
+
+# --- unknown and missing keys ---
+
+
+def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
+    path, schema = invalid.place, invalid.schema
+    table = _find_schema(schema, path)
+    fields = [*table.model_fields, *(invalid.also if len(path) == 1 else ())]
+    word, every = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
+    elsewhere = (item for item in every if item.rpartition(".")[2] == word)
+    hint = (
+        _list_replacement_hints(table).get(word)
+        or _suggest_key(word, fields)
+        or did_you_mean(word, fields)
+        or did_you_mean(word, elsewhere)
+        or _suggest_synonym(word, fields)
+        or _suggest_described_key(word, table)
+        or _replace_unknown_key(word, invalid.missing)
+    )
+    return "unknown key", "one of " + list_candidates(word, fields, _help_command(schema)), hint
+
+
+def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
+    message = f"{join_path(invalid.path)} is missing"
+    return message, *_explain_missing(invalid.schema, invalid.place, invalid.path)
+
+
+def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
+    """Suggest the only missing key of a table in place of an unknown key."""
+    if len(missing) == 1:
+        return f"write {missing[0]} in place of {word}, because the key {missing[0]} is missing"
+    return f"delete {word}"
+
+
+def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
+    """Suggest the key that scenes use in place of the common name ``word``."""
+    key, hint = REPLACED_KEYS.get(word.lower(), ("", ""))
+    return hint if key in fields else None
+
+
+def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
+    """Suggest the key whose description contains ``word`` as its name in SPICE."""
+    described = re.compile(rf"\b{re.escape(word)} of the SPICE model", re.IGNORECASE)
+    for name, field in table.model_fields.items():
+        if described.search(field.description or ""):
+            return f"write {name} in place of {word}"
+    return None
+
+
+def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
+    """Suggest the key of the table with the meaning of a key of another program."""
+    keys = KEY_SYNONYMS.get(normalise_word(word), ())
+    fitting = next((key for key in keys if key in fields), None)
+    return fitting and f"write {fitting} in place of {word}"
+
+
+def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
+    """Return the hint for each unsupported key of a table, with the key to use in its place."""
+    return getattr(table, "unsupported_key_hints", {})
+
+
+def _explain_missing(
+    schema: type[BaseModel], path: KeyPath, full_path: KeyPath
+) -> tuple[str | None, str | None]:
+    """Return the accepted values of a missing key, and the line to add to the file."""
+    unit = _find_unit(schema, path)
+    table = join_path(full_path[:-1])
+    value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
+    field, listed = _find_field(schema, path), None
+    if not unit and field is not None:
+        choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+        value = f'"{choices[0]}"' if choices else _show_example(field)
+        if choices:
+            listed = f"one of {list_candidates('', map(str, choices))}"
+    place = f"  to {table}" if table else ""
+    expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else listed
+    return expected, f"add  {full_path[-1]} = {value}{place}"
+
+
+def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
+    """Return a plausible value of the key at ``path``: a power of ten within its range."""
+    field = _find_field(schema, path)
+    plausible = None if field is None else plausible_range_of(field)
+    if plausible is None:
+        return f"1 {unit}"
+    middle = 10.0 ** round(math.log10(math.sqrt(plausible.low * plausible.high)))
+    return format_quantity(middle, plausible.unit).replace("µ", "u")
+
+
+# --- texts, choices and numbers ---
+
+
+def _explain_pattern(invalid: _InvalidValue) -> Explanation:
+    """Explain a text with characters that are not allowed."""
+    pattern, name = str(invalid.context["pattern"]), make_identifier(str(invalid.value), "name")
+    expected = "a letter, then letters, digits and _, at most 64 in all"
+    hint = f"write it without other characters: {name}"
+    if pattern == "^[xyz]{1,3}$":
+        expected, hint = "one to three of the letters x, y and z", 'for example "z"'
+    elif letters := re.fullmatch(r"\^\[([A-Z]+)\]\$", pattern):
+        expected, hint = f"one of {', '.join(letters[1])}", f'for example "{letters[1][0]}"'
+    if invalid.path[0] in _TEXT_LINES:
+        expected = "one line of text without control characters"
+        hint = "delete line breaks and control characters from it"
+    return "this text is not allowed", expected, hint
+
+
+def _explain_quantity(invalid: _InvalidValue) -> Explanation:
+    """Return the explanation of a validator of this program."""
+    return invalid.context["reason"], invalid.context["expected"], invalid.context.get("hint")
+
+
+def _explain_choice(invalid: _InvalidValue) -> Explanation:
+    choices = re.findall(r"'?(\w+)'?(?:, | or |$)", invalid.context["expected"])
+    word, key = str(invalid.value), invalid.path[-1]
+    hint = did_you_mean(word, choices)
+    if (meaning := CHOICE_SYNONYMS.get(normalise_word(word))) in choices:
+        hint = f'write  {key} = "{meaning}"'
+    vector = _AXIS_VECTORS.get(normalise_word(word))
+    # a choice or a vector
+    if vector and any(map(_is_union_member, invalid.place)) and "x" not in choices:
+        vector = vector.replace("1", "-1") if word.strip().startswith("-") else vector
+        hint = f"write  {key} = {vector}"
+    example = f'"{choices[0]}"'
+    hint = hint or f"for example  {invalid.assign(example)}"
+    listed = list_candidates(invalid.value, choices, _help_command(invalid.schema))
+    return "this value is not one of the choices", f"one of {listed}", hint
+
+
+def _explain_number(invalid: _InvalidValue) -> Explanation:
+    return "not a number", "a number", f"write for example  {invalid.assign('1.0')}"
+
+
+def _explain_text(invalid: _InvalidValue) -> Explanation:
+    return "not a text", "a text in quotes", f'for example  {invalid.path[-1]} = "NAME"'
+
+
+def _explain_whole_number(invalid: _InvalidValue) -> Explanation:
+    key, value = invalid.path[-1], invalid.value
+    hint = f"for example  {key} = 10"
+    if isinstance(value, float) and math.isfinite(value) and abs(value) < 1e9:
+        hint = f"write  {key} = {max(round(value), 1)}"
+    return "not a whole number", "a whole number, without quotes", hint
+
+
+def _explain_limit(invalid: _InvalidValue) -> Explanation:
+    limit = ", ".join(f"{_LIMIT_SIGNS[key]} {bound:g}" for key, bound in invalid.context.items())
+    unit = _find_unit(invalid.schema, invalid.place) or ""
+    hint = _suggest_value(join_path(invalid.path), invalid.value, invalid.context, unit)
+    return "out of range", f"{limit} {unit}".rstrip(), hint
+
+
+def _explain_reason(invalid: _InvalidValue) -> Explanation:
+    """Return the reason that a validator states."""
+    return str(invalid.context["error"]), None, None
+
+
+def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
+    """Suggest a value of ``key`` within the limits of its schema."""
+    (kind, bound), *_ = limits.items()
+    lower = kind in ("gt", "ge")
+    if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
+        return "remove the minus sign"
+    preposition = {"gt": "above", "lt": "below"}.get(kind, "to")
+    return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
+
+
+# --- tables and lists ---
+
+
+def _explain_table(invalid: _InvalidValue) -> Explanation:
+    """Explain a value in place of a table, or in place of tables by name."""
+    path, value = invalid.path, invalid.value
+    if invalid.details["type"] == "dict_type" and isinstance(value, (list, tuple)):
+        hint = f"write  {path[-1]} = {{ NAME = … }}  with a name for each entry"
+        return "a list, not tables by name", f"[{join_path(path)}.NAME] for each of them", hint
+    is_entry = not path or isinstance(path[-1], int)  # the value is a list entry
+    form = "{ KEY = VALUE, … }" if is_entry else f"[{join_path(path)}]"
+    return "not a table", f"a table, {form}", _suggest_table(invalid, form)
+
+
+def _suggest_table(invalid: _InvalidValue, form: str) -> str:
+    """Suggest a table with the key that a value most likely states."""
+    schema, place, path, value = invalid.schema, invalid.place, invalid.path, invalid.value
+    if isinstance(value, (Mapping, list)) or len(path) <= 1:
+        key = _find_choice_key(schema, place, value)
+        if key is not None and len(path) == 1:
+            return f'write  [{path[0]}]  and below it  {key} = "{value}"'
+        return f"write a table {form} with its keys"
+    if isinstance(path[-1], int):
+        return f"write  {invalid.assign(_write_entry(_find_schema(schema, (*place, '')), value))}"
+    if isinstance(value, str) and (key := _find_text_key(schema, place)):
+        return f'write  {path[-1]} = {{ {key} = "{value}" }}'
+    if key := _find_value_key(schema, place, value):
+        return f"write  {path[-1]} = {{ {key} = {quote_value(value)} }}"
+    return f"write  {path[-1]} = {{ KEY = VALUE }}  with the keys of this table"
+
+
+def _explain_list(invalid: _InvalidValue) -> Explanation:
+    """Explain a value in place of a list."""
+    value, key = invalid.value, invalid.path[-1]
+    if isinstance(value, Mapping):  # a table in place of a list of tables
+        keys = ", ".join(f"{name} = …" for name in value)
+        hint = f"write one table for each entry:  {key} = [{quote_value(value)}]"
+        return "not a list", f"a list, {invalid.assign(f'[{{ {keys} }}]')}", hint
+    example = "[ … ]"
+    if isinstance(value, str) and value in _AXIS_VECTORS:
+        example = _AXIS_VECTORS[value]
+    elif isinstance(value, (int, float, str)) and key == "band":
+        example = f"[0, {format_toml(value)}]"  # a band begins at 0 Hz
+    elif isinstance(value, str) and isinstance(key, str):
+        example = f'["{value}"]'
+    return "not a list", f"a list, {invalid.assign('[ … ]')}", f"write  {invalid.assign(example)}"
+
+
+def _explain_list_length(invalid: _InvalidValue) -> Explanation:
+    too_short = invalid.details["type"] == "too_short"
+    count = invalid.context["min_length" if too_short else "max_length"]
+    bound = f"{'least' if too_short else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
+    hint = _advise_length(invalid.path, invalid.value, count, too_short)
+    return f"too {'few' if too_short else 'many'} entries", f"a list of at {bound}", hint
+
+
+def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str, str, str]:
+    """Return message, expectation and hint for a list that lacks its last entries."""
+    entries = list(typed) if isinstance(typed, (list, tuple)) else []
+    numeric = all(isinstance(item, (int, float)) for item in entries)
+    count, pad = len(entries) + lacking, 0 if numeric else "VALUE"
+    added = [pad] * lacking
+    # a band begins at 0 Hz, other lists end with the missing entries
+    completed = [*added, *entries] if path[-1] == "band" else [*entries, *added]
+    full = format_toml(completed).replace('"VALUE"', "VALUE")
+    return (
+        "too few entries",
+        f"a list of {count} entries",
+        f"write  {_write_assignment(path, full)}",
+    )
+
+
+def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) -> str:
+    """Advise how to give a list an accepted number of entries."""
+    if too_short or not isinstance(entries, (list, tuple)):
+        word = "entry" if count == 1 else "entries"
+        return f"add entries, so that the list has at least {count} {word}"
+    shorter = format_toml(entries[:count])
+    if len(shorter) > 60:
+        return f"delete {len(entries) - count} of the {len(entries)} entries"
+    return f"write for example  {_write_assignment(path, shorter)}"
+
+
+def _write_assignment(path: KeyPath, value: str) -> str:
+    """Return text for a hint that sets the key at ``path`` to ``value``.
+
+    >>> _write_assignment(("u", "axis"), "[0, 0, 1]")
+    'axis = [0, 0, 1]'
+    >>> _write_assignment(("u", "axis", 2), "1.0")
+    '1.0  as entry 3 of axis'
+    """
+    last = path[-1]
+    if not isinstance(last, int):
+        return f"{last} = {value}"
+    names = [step for step in path if not isinstance(step, int)]
+    return f"{value}  as entry {last + 1} of {names[-1]}"
+
+
+def _write_entry(schema: type[BaseModel], typed: object) -> str:
+    """Write an example of a table with the required keys; a text is the value of its first text."""
+    entries, text = [], typed if isinstance(typed, str) else None
+    for name, field in schema.model_fields.items():
+        if not field.is_required():
+            continue
+        unit = find_unit(field)
+        value = f'"{_suggest_quantity(schema, (name,), unit)}"' if unit else _show_example(field)
+        if text is not None and not unit:
+            value, text = f'"{text}"', None
+        entries.append(f"{name} = {value}")
+    return f"{{ {', '.join(entries) or 'KEY = VALUE'} }}"
+
+
+def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """Return the only required key of the table at ``path`` if its value is a text."""
+    fields = _find_schema(schema, (*path, "")).model_fields
+    required = [name for name, field in fields.items() if field.is_required()]
+    if len(required) == 1 and fields[required[0]].annotation is str:
+        return required[0]
+    return None
+
+
+def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
+    """Return the key of the table at ``path`` one of whose choices is ``value``."""
+    for name, field in _find_schema(schema, (*path, "")).model_fields.items():
+        if get_origin(field.annotation) is Literal and value in get_args(field.annotation):
+            return name
+    return None
+
+
+def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
+    """Return the key of the table at ``path`` that a number or quantity most likely states."""
+    table = _find_schema(schema, (*path, ""))
+    if isinstance(value, (int, float)) and {"quality", "ratio"} <= set(table.model_fields):
+        return "quality" if value > 1 else "ratio"
+    for name, field in table.model_fields.items():
+        unit = find_unit(field)
+        if unit is not None:
+            with contextlib.suppress(UsageError):
+                quantity(value, unit)
+                return name
+    return None
+
+
+# --- schemas ---
+
+
+def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
+    """Return the field of the key at ``path``; numbers of list entries are ignored."""
+    names = tuple(step for step in path if isinstance(step, str))
+    return dict(list_keys(schema)).get(names)
+
+
+def _show_example(field: FieldInfo) -> str:
+    """Return the example of a key as TOML text."""
+    return str(field.examples[0]) if field.examples else "VALUE"
+
+
+def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """Return the SI unit of the key at ``path``; None for a key without a unit."""
+    field = _find_field(schema, path)
+    return None if field is None else find_unit(field)
+
+
+def _help_command(schema: type[BaseModel]) -> str | None:
+    """Return the command or page that lists all keys of a table."""
+    return getattr(schema, "help_command", None)
+
+
+def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
+    """Return the first section class inside of an annotation, at any depth."""
+    found = find_section(annotation)
+    inner = map(_find_inner_section, get_args(annotation)) if found is None else ()
+    return found or next(filter(None, inner), None)
+
+
+def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
+    """Return the innermost schema that contains ``path``."""
+    for step in path[:-1]:
+        if step in schema.model_fields:
+            schema = _find_inner_section(schema.model_fields[str(step)].annotation) or schema
+    return schema
+
+
+# Functions that explain errors, keyed by the type of the error in pydantic.
+_EXPLANATIONS: Mapping[str, Callable[[_InvalidValue], Explanation]] = {
+    "extra_forbidden": _explain_unknown_key,
+    "missing": _explain_missing_key,
+    "string_pattern_mismatch": _explain_pattern,
+    "quantity": _explain_quantity,
+    "literal_error": _explain_choice,
+    "float_type": _explain_number,
+    "float_parsing": _explain_number,
+    "string_type": _explain_text,
+    "int_type": _explain_whole_number,
+    "dict_type": _explain_table,
+    "model_type": _explain_table,
+    "tuple_type": _explain_list,
+    "list_type": _explain_list,
+    "too_short": _explain_list_length,
+    "too_long": _explain_list_length,
+    "greater_than": _explain_limit,
+    "greater_than_equal": _explain_limit,
+    "less_than": _explain_limit,
+    "less_than_equal": _explain_limit,
+    "value_error": _explain_reason,
+}

@@ -1,0 +1,65 @@
+"""Keys of the schemas of tables: their paths, units and ranges of plausible values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, get_args
+
+from pydantic import BaseModel, BeforeValidator
+from pydantic.fields import FieldInfo
+
+from kc2spice.core.quantities import Plausible
+
+KeyPath = tuple[str | int, ...]
+
+
+def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
+    """Yield all keys of a schema in order; the keys of a subtable follow its name."""
+    for name, field in schema.model_fields.items():
+        section, path = find_section(field.annotation), (field.alias or name,)
+        if section is None:
+            yield path, field
+            continue
+        for below, item in list_keys(section):
+            yield path + below, item
+
+
+def find_section(annotation: Any) -> type[BaseModel] | None:
+    """Return the section class in a field's annotation, as ``Kick`` for ``Kick | None``.
+
+    The result is None if the annotation contains no section class.
+    """
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
+
+
+def _field_metadata(field: FieldInfo) -> Iterator[Any]:
+    """Yield the metadata of a field and of the elements of a list."""
+    yield from field.metadata
+    for argument in get_args(field.annotation):
+        yield from get_args(argument)[1:]
+
+
+def find_unit(field: FieldInfo) -> str | None:
+    """Return the SI unit of a numeric field; None for a field without a unit.
+
+    In a list of numbers, all numbers have this unit.
+    """
+    for meta in _field_metadata(field):
+        if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
+            return str(meta.func.args[0])
+    return None
+
+
+def plausible_range_of(field: FieldInfo) -> Plausible | None:
+    """Return the range of plausible values of a key; None for a key without such a range."""
+    return next((meta for meta in _field_metadata(field) if isinstance(meta, Plausible)), None)
+
+
+def join_path(path: KeyPath) -> str:
+    """Join the words and numbers of a path, such as ``layers[0].thickness``."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return text.removeprefix(".")

@@ -1,0 +1,47 @@
+"""Values as TOML text, as in a scene file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+def format_toml(value: Any) -> str:
+    """Return a value as TOML text with all digits, as in a scene file.
+
+    >>> format_toml([[0, 0], ["1 ms", 5]])
+    '[[0, 0], ["1 ms", 5]]'
+    """
+    if isinstance(value, Mapping):
+        items = (f"{json.dumps(key)} = {format_toml(item)}" for key, item in value.items())
+        return "{" + ", ".join(items) + "}"
+    if hasattr(value, "tolist"):  # numpy arrays and numbers
+        return format_toml(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(format_toml, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
+
+
+def display_text(value: Any) -> str:
+    """Format a value as TOML; a number with too many digits is described in words."""
+    try:
+        return clip_text(quote_value(value))
+    except ValueError:
+        return f"a {type(value).__name__} that is too long to print"
+
+
+def quote_value(value: Any) -> str:
+    """Format tables and lists as in a scene file, and other values by ``repr``, to quote them."""
+    if isinstance(value, Mapping):
+        return (
+            "{ " + ", ".join(f"{key} = {quote_value(item)}" for key, item in value.items()) + " }"
+        )
+    if isinstance(value, list):
+        return "[" + ", ".join(map(quote_value, value)) + "]"
+    return repr(value)
+
+
+def clip_text(text: str) -> str:
+    """Cut a text after 120 characters."""
+    return text if len(text) <= 120 else text[:120] + " …"

@@ -1,0 +1,210 @@
+"""Suggestions for quantities with wrong units: decimal commas, other units, and misspelt units."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from typing import NamedTuple
+
+from kc2spice.core.units import (
+    MAX_QUANTITY_LENGTH,
+    NUMBER_WITH_UNIT,
+    UNIT_PREFIXES,
+    UNITS,
+    parse_quantity,
+    parse_unit,
+)
+
+# Symbols of units, keyed by the name of the unit in the singular.
+_UNIT_WORDS = {
+    "gram": "g", "kilogram": "kg", "metre": "m", "meter": "m", "millimetre": "mm",
+    "millimeter": "mm", "micrometer": "um", "micron": "um", "second": "s", "sec": "s", "volt": "V",
+    "ampere": "A", "amp": "A", "ohm": "Ohm", "farad": "F", "henry": "H", "newton": "N",
+    "pascal": "Pa", "watt": "W", "joule": "J", "kelvin": "K", "tesla": "T", "hertz": "Hz",
+    "percent": "%", "liter": "l", "litre": "l", "milliliter": "ml", "millilitre": "ml",
+    "kilohm": "kOhm", "kiloohm": "kOhm", "megohm": "MOhm", "microfarad": "uF", "nanofarad": "nF",
+    "picofarad": "pF", "kilohertz": "kHz", "megahertz": "MHz", "millisecond": "ms",
+    "microsecond": "us", "millivolt": "mV", "kilovolt": "kV", "milliampere": "mA",
+}  # fmt: skip
+# Units outside of the SI, with their value and SI unit. Values of NIST SP 811, appendix B.
+_FOREIGN_UNITS = {
+    "in": (0.0254, "m"), "inch": (0.0254, "m"), '"': (0.0254, "m"), "mil": (2.54e-5, "m"),
+    "thou": (2.54e-5, "m"), "ft": (0.3048, "m"), "Å": (1e-10, "m"), "micron": (1e-6, "m"),
+    "lb": (0.45359237, "kg"), "oz": (0.028349523125, "kg"), "t": (1e3, "kg"),
+    "g": (9.80665, "m/s2"), "g0": (9.80665, "m/s2"), "G": (9.80665, "m/s2"),
+    "gal": (0.01, "m/s2"), "lbf": (4.4482216152605, "N"), "kgf": (9.80665, "N"),
+    "gf": (9.80665e-3, "N"), "dyn": (1e-5, "N"), "bar": (1e5, "Pa"), "mbar": (100.0, "Pa"),
+    "atm": (101325.0, "Pa"), "psi": (6894.757293168, "Pa"), "torr": (133.322368, "Pa"),
+    "mmHg": (133.322387, "Pa"), "gauss": (1e-4, "T"), "Gs": (1e-4, "T"),
+    "min": (60.0, "s"), "h": (3600.0, "s"), "ms-1": (1.0, "m/s"), "km/h": (1 / 3.6, "m/s"),
+    "mph": (0.44704, "m/s"), "rpm": (1 / 60, "Hz"), "u/min": (1 / 60, "Hz"),
+    "Wh": (3600.0, "J"), "kWh": (3.6e6, "J"), "cal": (4.184, "J"), "eV": (1.602176634e-19, "J"),
+    "hp": (745.699871582, "W"), "Ah": (3600.0, "C"), "mAh": (3.6, "C"),
+    "g/cm3": (1e3, "kg/m3"), "g/cc": (1e3, "kg/m3"), "cc": (1e-6, "m3"), "ppm": (1e-6, ""),
+}  # fmt: skip
+# a range such as 1 g:2 g:5, or a list such as 1 g,2 g
+_SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
+                             r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
+
+
+class _TypedQuantity(NamedTuple):
+    """Text of a quantity, its number and the unit after the number."""
+
+    text: str
+    number: str
+    unit: str
+
+
+def suggest_spelling(value: object, si: str) -> str | None:
+    """Suggest a correction of a decimal comma, or of a missing or misspelt unit.
+
+    >>> suggest_spelling("1,5 mm", "m")
+    'write  "1.5 mm"'
+    >>> suggest_spelling("2 inch", "m")
+    'write  "0.0508 m"'
+    """
+    if isinstance(value, (list, tuple)) and len(value) == 1:
+        inner = f'"{value[0]}"' if isinstance(value[0], str) else f"{value[0]}"
+        return f"write the value without brackets: {inner}"
+    if not isinstance(value, str):
+        return _show_form(si)
+    if len(value) > MAX_QUANTITY_LENGTH:
+        return f"write a number of at most {MAX_QUANTITY_LENGTH} characters"
+    if several := _SEVERAL_VALUES.match(value):
+        first = (several[1] or several[2]).strip()
+        return f'write one value, such as  "{first}"; kc2spice sweep accepts a range or a list'
+    match = NUMBER_WITH_UNIT.fullmatch(value.rstrip())
+    typed = None if match is None else _TypedQuantity(value.strip(), match[1], match[2])
+    if typed is not None:
+        for correct in _CORRECTIONS:
+            if advice := correct(typed, si):
+                return advice
+    return _complete_text(value, typed, si) or _suggest_unit(typed, si)
+
+
+def _show_form(si: str) -> str:
+    """Return the form of a quantity in the unit ``si``."""
+    return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+
+
+def _accept(text: str, si: str) -> str | None:
+    """Suggest ``text`` if it is a quantity in the unit ``si``."""
+    with contextlib.suppress(ValueError):
+        parse_quantity(text, si)
+        return f'write  "{text}"'
+    return None
+
+
+def _replace_name(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest the symbol of a unit whose name was typed: ``5 volts``."""
+    word = "" if parse_unit(typed.unit) else typed.unit.lower().removesuffix("s")
+    symbol = _UNIT_WORDS.get(word)
+    return symbol and _accept(f"{typed.number} {symbol}", si)
+
+
+def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest kelvin for a difference of temperatures in degrees Celsius."""
+    celsius = re.search("°C|℃|degC", typed.unit)
+    if celsius is None:
+        return None
+    if typed.unit == celsius[0]:
+        rise = "the difference from the ambient temperature in K"
+        number = typed.number
+        return f'write {rise}, such as  "{number} K"  for a rise of {number} °C'
+    return _accept(f"{typed.number} {typed.unit.replace(celsius[0], 'K')}", si)
+
+
+def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest a decimal point for a prefix in its place, as on drawings of circuits: ``4k7``."""
+    split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
+    if split is None:
+        return None
+    prefix = "" if split[2] in "RΩ" else split[2]
+    return f'write  "{split[1]}.{split[3]} {prefix}{si}"'
+
+
+def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest the unit ``si`` for the same letters in another case, with the typed prefix."""
+    if not si or not typed.unit.lower().endswith(si.lower()):
+        return None
+    prefix = typed.unit[: -len(si)]
+    prefix = "M" if (prefix, si) == ("m", "Hz") else prefix  # mhz means megahertz
+    return _accept(f"{typed.number} {prefix}{si}", si)
+
+
+def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest the area or the volume of a length: ``3 mm`` for an area."""
+    power, length = re.fullmatch(r"(m)([23])", si), parse_unit(typed.unit)
+    if power and length and length == parse_unit(f"{typed.unit[:-1]}m"):
+        return f'write  "{typed.number} {typed.unit}{power[2]}"'
+    return None
+
+
+def _convert_foreign_unit(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest the value in SI of a unit outside of the SI."""
+    factor, unit = _FOREIGN_UNITS.get(typed.unit, (0.0, ""))
+    if not factor or unit != si:
+        return None
+    converted = float(f"{factor * float(typed.number):.6g}")
+    return f'write  "{f"{converted:.12g} {si}".strip()}"'
+
+
+def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
+    """Suggest a compound unit of which only the first unit was typed: ``3 N`` for N/m."""
+    if typed.unit and si.startswith((f"{typed.unit}/", f"{typed.unit} ")):
+        return f'write  "{typed.number} {si}"'
+    return None
+
+
+# Corrections of a text that begins with a number, in the order in which they are tried.
+_CORRECTIONS = (
+    _replace_name,
+    _replace_celsius,
+    _replace_prefix_in_number,
+    _correct_letter_case,
+    _add_exponent,
+    _convert_foreign_unit,
+    _complete_unit,
+)
+
+
+def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | None:
+    """Suggest a decimal point for a comma, or the unit ``si`` behind the typed text."""
+    for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
+        with contextlib.suppress(ValueError):
+            if not math.isfinite(parse_quantity(text, si)):
+                return f"write a number of at most 1e300 {si}".rstrip()
+            number, unit = NUMBER_WITH_UNIT.fullmatch(text).groups()  # type: ignore[union-attr]
+            advice = f'write  "{f"{number} {unit}".strip()}"'
+            if typed is not None and not typed.unit and si in UNITS:  # no unit and no prefix
+                advice += f'  or, with a prefix,  "{number} m{si}"'
+            return advice
+    return None
+
+
+def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
+    """Suggest the unit ``si`` with the prefix that is most similar to the typed unit."""
+    from difflib import get_close_matches  # imported here, because most values need no correction
+
+    if typed is None:
+        return _show_form(si)
+    number, unit = typed.number, typed.unit
+    as_typed = f'write  "{number} {si}"  if the value is in {si}'
+    if parse_unit(unit) is not None:
+        return as_typed if si else f"write {number}"
+    units = [f"{prefix}{si}" for prefix in ("", *UNIT_PREFIXES)]
+    lower = {item.lower(): item for item in reversed(units)}
+    # a prefix in words or in another letter case: 1 micro F, 1 KOhm
+    word = re.sub(r"^(micro|milli|kilo|nano|pico)\s*", _abbreviate_prefix, unit).lower()
+    near = [lower[word]] if word in lower else get_close_matches(unit, units, 1, 0.7)
+    if not near:  # another letter case: kh for kHz
+        near = [lower[item] for item in get_close_matches(unit.lower(), lower, 1, 0.7)]
+    if near or not si:
+        return f'write  "{number} {near[0]}"' if near else f"write {number}"
+    return as_typed
+
+
+def _abbreviate_prefix(match: re.Match[str]) -> str:
+    """Return the symbol of a prefix in words."""
+    return "u" if match[1] == "micro" else match[1][0]
