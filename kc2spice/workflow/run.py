@@ -177,7 +177,6 @@ def complete_run(
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
     simulator, automatic = find_ngspice(), dict[str, Any]()
-    _warn_of_unused_amplitudes(scene)
     with keep_failed_run(work, out, scene.name):
         while True:
             build, prepared_deck = prepare_deck(
@@ -212,21 +211,6 @@ def complete_run(
             message = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
             warnings.warn(message, stacklevel=2)
     return CompletedRun(result, simulator, clock.wall_s, converged)
-
-
-def _warn_of_unused_amplitudes(scene: Scene) -> None:
-    """Warn of sources that are zero in the default analysis, a transient."""
-    if "analysis" in scene.frame.model_fields_set:
-        return
-    for part in scene.list_parts("source"):
-        keys: Any = part.keys
-        if keys.amplitude and keys.is_zero_over_time:
-            warnings.warn(
-                f"{part.name}: the key ac has no effect, because the scene has no [analysis] and "
-                'a transient is the default: add  [analysis]  and below it  type = "ac"  and  '
-                'stop = "100 kHz"',
-                stacklevel=2,
-            )
 
 
 def write_run_files(
