@@ -95,7 +95,11 @@ def domains_page() -> str:
         units = tuple(f"1 {unit}" for unit in domain.units)
         rows.append((domain.name, *units, domain.power, sources, ", ".join(branches), port))
     rest = [f"- {domain.name}: {domain.rest}." for domain in CONSERVATIVE]
-    paths = [f"- {domain.name}: {domain.path}" for domain in CONSERVATIVE if domain.path]
+    paths = [
+        f"- {domain.name}: {domain.path_to_reference}"
+        for domain in CONSERVATIVE
+        if domain.path_to_reference
+    ]
     return "\n".join([
         "# Physical domains",
         "",
