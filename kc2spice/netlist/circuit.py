@@ -187,6 +187,11 @@ class Directive(Card):
         """Text of the statement on one line."""
         return " ".join((self.keyword, *self.words))
 
+    @property
+    def argument(self) -> str:
+        """Text after the keyword without quotes around it, such as the path of an include."""
+        return " ".join(self.words).strip("\"'")
+
 
 @dataclass(frozen=True)
 class Circuit(Card):

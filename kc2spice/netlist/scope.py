@@ -86,19 +86,25 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
     UsageError : an include is missing or circular, a card is invalid, or a name is defined twice;
     the message contains file and line.
     """
-    top = Scope("")
-    _fill_scope(top, tree, (file,), files or {})
+    top, files = Scope(""), files or {}
+    for include in _fill_scope(top, tree, (file,), files):
+        written = include.argument
+        got = written or "no file name"
+        hint = did_you_mean(written, files) or f"copy {got} beside the netlist"
+        expected = "one of " + ", ".join(sorted(set(files) - {file}))
+        raise include.error("included file is not there", got, expected, hint)
     return top
 
 
 def _fill_scope(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
-) -> None:
+) -> list[Directive]:
     """Add the cards of a circuit, and of its included files, to ``scope``.
 
     ``chain`` are the files from the main file to the file with the circuit, in which each file
-    includes the next one.
+    includes the next one. The result contains the includes whose file is not in ``files``.
     """
+    missing: list[Directive] = []
     for item in tree.items:
         match item:
             case Element(kind, name):
@@ -109,24 +115,21 @@ def _fill_scope(
                     raise item.error("unknown kind of element", name, expected, hint)
                 scope.elements.append(item)
             case Circuit():
-                _fill_scope(_open_subcircuit(item, scope), item, chain, files)
+                missing += _fill_scope(_open_subcircuit(item, scope), item, chain, files)
             case Model(name, kind, given):
                 _require_same_definition(scope, f"model {name}", f"{kind} {given}", item)
                 scope.models[name.lower()] = item
-            case Directive(keyword, words) if keyword in INCLUDES:
-                written = " ".join(words).strip("\"'")
+            case Directive(keyword) if keyword in INCLUDES:
                 # the path of an included file is relative to the directory of the including file
-                target = str(PurePosixPath(chain[-1]).parent / written)
+                target = str(PurePosixPath(chain[-1]).parent / item.argument)
                 if target in chain:
                     raise item.error(
                         "a file includes itself, directly or through others", " -> ".join(chain)
                     )
-                if target not in files:
-                    expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
-                    got = written or "no file name"
-                    hint = did_you_mean(written, files) or f"copy {got} beside the netlist"
-                    raise item.error("included file is not there", got, expected, hint)
-                _fill_scope(scope, files[target], (*chain, target), files)
+                if target in files:
+                    missing += _fill_scope(scope, files[target], (*chain, target), files)
+                else:
+                    missing.append(item)
             case Directive(".control" | ".end"):
                 pass
             case Parameters(values):
@@ -140,6 +143,7 @@ def _fill_scope(
                 scope.functions[name.lower()] = item
             case _:
                 scope.commands.append(item)
+    return missing
 
 
 def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
