@@ -213,12 +213,14 @@ def run(
         done = complete_run(
             loaded, work, clock, out=directory, trust=trust, deck=edited, functions=functions
         )
+        answer = done.run
+        figures = {item.name: item for item in done.figures}
+        more: dict[str, Any] = {"figures": figures, "_done": done}
+        checks = answer.verdict.checks
+        result = _make_result(answer.deck, answer.waves, done.record, checks, **more)
         if directory is not None:
             write_run_files(done, work, clock)
-    answer = done.run
-    figures = {item.name: item for item in done.figures}
-    more: dict[str, Any] = {"figures": figures, "_done": done}
-    return _make_result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
+    return result
 
 
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:

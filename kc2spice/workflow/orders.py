@@ -14,6 +14,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shutil import copytree
 from tempfile import TemporaryDirectory
@@ -191,6 +192,7 @@ def _search_larger_order(
     low, high = model.certificate.band_hz
     norm = {} if target.norm is None else {f"{key}.norm": target.norm}
     least, result, best = IMPROVEMENT_RATIO * check.value, None, earlier.scene
+    estimate_error = partial(kind.error_under_load, part, build, run.waves)
     end = f"more states reduce its error by less than {1 - IMPROVEMENT_RATIO:.0%}"
     for multiple, wider in ORDER_FACTORS:
         keys = {f"{key}.order": multiple * order, f"{key}.band": [low, wider * high], **norm}
@@ -209,12 +211,12 @@ def _search_larger_order(
         if larger.order > MAX_STATES:
             end = f"a model of {larger.order} states, more than {MAX_STATES}, is not tried"
             break
-        seconds = _estimate_run_time(run.cpu_s, model, larger)
+        seconds = run.cpu_s * _estimate_time_ratio(model, larger)
         if seconds > MAX_SECONDS:
             end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU, more than "
             end += f"{MAX_SECONDS:g} s, and is not tried"
             break
-        estimate = kind.error_under_load(part, build, run.waves, larger)
+        estimate = estimate_error(larger)
         if estimate is None:
             end = "there is no model of more states to compare larger ones with"
             break
@@ -229,15 +231,15 @@ def _search_larger_order(
     return _OrderSearch(best, (*earlier.chosen, *chosen), (*earlier.ends, f"{check.name}: {end}"))
 
 
-def _estimate_run_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
-    """Estimate the CPU time [s] of a run with a ``larger`` model.
+def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
+    """Estimate the CPU time of a run with a ``larger`` model, relative to a run with ``model``.
 
     The CPU time is proportional to the time for one point, and to the highest natural frequency of
     modes with inertia, because the time steps resolve its period.
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
-    return seconds * more * time_per_point(larger.order) / time_per_point(model.order)
+    return more * time_per_point(larger.order) / time_per_point(model.order)
 
 
 def _highest_natural_frequency(model: LinearModel) -> float:
