@@ -182,20 +182,9 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             if pin[0] != a[0] and _are_compatible(first, terminal)
         )
         choices = list(map(".".join, fitting))
+        hint = _suggest_kind(a[0], first, second) or _suggest_kind(b[0], second, first)
+        hint = hint or _suggest_target(a, choices, scene)
         name = ".".join(b)
-        # if the other end of a part with two pins is joined, the first choice may be on its net
-        ends = [pin.name for pin in scene.pins(a[0])]
-        joined = len(ends) == 2 and any(
-            pin in scene.parts[a[0]].pins for pin in ends if pin != a[1]
-        )
-        suggested = choices[0] if choices and not joined else GROUND
-        hint = f'write  {a[1]} = "{suggested}"'
-        source = next((pin[0] for pin in (a, b) if scene.parts[pin[0]].type.name == "source"), None)
-        other = second if source == a[0] else first
-        kinds = [name for name, (domain, side) in QUANTITIES.items()
-                 if domain.units == (other.unit, other.flow)]  # fmt: skip
-        if source == a[0] and kinds:
-            hint = f'write  kind = "{kinds[-1]}"  in [{source}], with values in its unit'
         raise UsageError(
             "this connection joins pins of different kinds",
             where=where,
@@ -205,6 +194,26 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
             hint=hint,
         )
+
+
+def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
+    """Suggest the key of a part with which its pin has the kind of the pin ``other``."""
+    units = other.unit, other.flow
+    kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
+    if not terminal.kind_key or not kinds:
+        return None
+    return f'write  {terminal.kind_key} = "{kinds[-1]}"  in [{part}], with values in its unit'
+
+
+def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
+    """Suggest one of the ``choices`` as the target of a pin.
+
+    If the other pin of a part with two pins is joined, the first choice may be on its net.
+    """
+    ends = {end for part, end in scene.terminals if part == pin[0]}
+    joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
+    target = choices[0] if choices and not joined else GROUND
+    return f'write  {pin[1]} = "{target}"'
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:

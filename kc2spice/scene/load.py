@@ -113,6 +113,7 @@ def load_scene(
         # an absolute path or the line of a netlist is a place in a file, and no key
         where = problem.where
         if where is not None and not Path(where).is_absolute() and not _LINE.search(where):
+            problem.hint = _suggest_probed_result(data, source, problem) or problem.hint
             problem.where = source.where(where)
         raise
 
@@ -172,11 +173,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     """Return the checked and resolved scene of the tables ``data``; errors name keys."""
     types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
-    try:
-        scene = Scene(_validate_table(SceneKeys, frame, ()), {}, home=source.folder)
-    except UsageError as error:
-        error.hint = _suggest_probed_result(data, source, error) or error.hint
-        raise
+    scene = Scene(_validate_table(SceneKeys, frame, ()), {}, home=source.folder)
     parts, analysis = _make_parts(data, types, source.folder)
     scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:

@@ -92,6 +92,7 @@ class Terminal:
     pin that the scene does not join is joined to the target ``default`` (``"gnd"`` or
     ``"part.pin"``). A ``required`` pin must be joined. ``signal_out`` marks a pin that sets a
     signal. ``rated`` [V] is the largest voltage that an electrode withstands; None if unknown.
+    ``kind_key`` is the key of the part whose value sets the units of the pin.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Terminal:
     required: bool = False
     signal_out: bool = False
     rated: float | None = None
+    kind_key: str = ""
 
     @classmethod
     def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:

@@ -33,14 +33,13 @@ def require_probed_results(build: Build) -> None:
     for name, part in scene.parts.items():
         if part.type.results_of_model and build.models.get(name) is None:
             waiting.add(name)
-    if build.has_noise:
-        _require_noise_output(build, waiting)
-    if not scene.probes or build.has_noise:
+    if not build.has_noise and not scene.probes:
         return
-    results = build.results
-    if not build.records:
-        unbuilt = with_vectors(build, without=waiting)
-        results = collect_results(unbuilt)
+    resolved = build if build.records else with_vectors(build, without=waiting)
+    if build.has_noise:
+        _require_noise_output(resolved, waiting)
+        return
+    results = build.results if build.records else collect_results(resolved)
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
@@ -63,14 +62,14 @@ def require_probed_results(build: Build) -> None:
 def _require_noise_output(build: Build, waiting: Collection[str]) -> None:
     """Raise an error for an unknown output of a noise analysis.
 
-    The output of a part whose model is missing is not checked.
+    The results of the parts ``waiting`` for their models are not checked.
     """
     name, where = str(build.scene.analysis.output), build.scene.where("analysis.output")
     owner, parts = name.partition(".")[0], build.scene.parts
     if owner not in parts:
         raise _make_unknown_part_error(name, parts, where)
     if build.noise_output is None and owner not in waiting:
-        find_noise_output(with_vectors(build, without=waiting))
+        find_noise_output(build)
 
 
 def list_all_results(scene: Scene) -> list[str]:

@@ -247,7 +247,10 @@ class Source(PartType[SourceKeys]):
     def pins(self, part: Part[SourceKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         pins = SOURCE_TYPES[part.keys.kind].domain.units
-        return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
+        return (
+            Terminal("out", *pins, required=True, kind_key="kind"),
+            Terminal("ret", *pins, "gnd", kind_key="kind"),
+        )
 
     def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Warn of a source that is zero in the default analysis, a transient."""
