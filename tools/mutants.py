@@ -258,7 +258,7 @@ def _modules(package: str) -> list[Path]:
 def _no_behaviour(text: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """From where to where nothing is drawn."""
 
-    def span(node: ast.AST | None) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    def span(node: Any) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
         if node is not None:
             yield (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
 
@@ -311,6 +311,9 @@ def _workers(first: Callable[..., None] | None = None, *words: Any) -> ProcessPo
     _preload()
     fork = multiprocessing.get_context("fork")
     return ProcessPoolExecutor(len(os.sched_getaffinity(0)), fork, first, words)
+
+
+_judged_by: Callable[[Item], Mutant]
 
 
 def _become_judge(work: str, more: float) -> None:
@@ -443,7 +446,7 @@ class Recorded:
 
     def contexts(self, module: str) -> dict[int, list[str]]:
         """Which tests, with their stage, execute each line of a module."""
-        found = defaultdict(list)
+        found = defaultdict[int, list[str]](list)
         for file, data in self.data.items():  # without a test it is the file's import
             for line, contexts in data.contexts_by_lineno(str(COPY / module)).items():
                 found[line] += [context or f"{file}|setup" for context in contexts]

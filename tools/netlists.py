@@ -37,7 +37,7 @@ from kc2spice.netlist.printers.kicad import (
 )
 from kc2spice.netlist.read import split_statements
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
+from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.export import export_scene
 
@@ -80,12 +80,14 @@ def shipped(scene: str) -> Scene:
     table = tomllib.loads(RANGES.read_text(encoding="utf-8"))
     plain, changes = load_scene(scene), dict[str, Any]()
     for name, ranges in table.get(scene, {}).items():
-        part = plain.parts[name]
+        part: Part[Any] = plain.parts[name]
         for number, layer in enumerate(part.keys.layers):
             material = layer.material  # a material by its name has no keys that could vary
             named = {"like": material} if isinstance(material, str) else material
             changes[f"{name}.layers[{number}].material"] = named
-        band = list(part.type.reduction(part, plain).band)
+        target = part.type.reduction(part, plain)
+        assert target is not None, f"{name} has no reduced model"
+        band = list(target.band)
         rom = {"tolerance": table["tolerance"], "band": band, "parameters": ranges}
         changes[f"{name}.rom"] = rom
     return load_scene(plain, changes) if changes else plain

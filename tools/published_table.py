@@ -160,7 +160,7 @@ def simulate(name: str, *overrides: str) -> tuple[dict[str, Any], dict[str, np.n
 def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     """Full and reduced model of a body."""
     clock = Clock()
-    body = scene.parts[part]
+    body: Any = scene.parts[part]
     return body.type.full(body, scene, clock), build_models(scene, clock).model(body, LinearModel)
 
 

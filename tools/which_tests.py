@@ -11,14 +11,14 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Generator
 from pathlib import Path
 
 import coverage
 import pytest
 
-_spent: Counter[str] = Counter()
+_spent: defaultdict[str, float] = defaultdict(float)
 _failed: set[str] = set()
 LIMIT = 90.0  # s of a stage of a test
 _folder = tempfile.TemporaryDirectory()
