@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from device import built, models
 from hard_cases.kit import kick
 from support import (
@@ -15,6 +16,7 @@ from support import (
     Difference,
     Gate,
     LinearModel,
+    Port,
     Waveforms,
     bodies,
     find_last_rest,
@@ -423,3 +425,23 @@ def test_probes_that_the_laws_do_not_contain_are_listed(tmp_path):
     record = verify_scenes([load_scene(scene)], tmp_path / "out")["scenes"]["beam"]
     print(record["notes"], record["answers"])
     assert any("taken (beam.anode.current)" in note for note in record["notes"])
+
+
+def test_frequencies_with_rounding_errors_of_the_full_model_are_found():
+    """Two masses of 1 kg joined by a stiff spring: ``x = 1/s^2 (s^2 + k) / (s^2 + 2 k)``.
+
+    At low frequency the inertia is a rounding error of the stiffness, and the response is wrong.
+    """
+    stiffness, at = 1e12 / 3, np.array([0.02, 0.1, 1.0, 10.0, 100.0, 1e4])
+    K = scipy.sparse.csc_array(stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]]))
+    E, M = scipy.sparse.csc_array((2, 2)), scipy.sparse.eye_array(2, format="csc")
+    full = LinearModel(K=K, E=E, M=M, B=[[1.0], [0.0]], ports=[Port("a", "mechanical")])
+    solved, square = full.transfer(at), -((2 * np.pi * at) ** 2)
+    exact = (square + stiffness) / (square * (square + 2 * stiffness))
+    error = np.abs(solved[:, 0, 0] / exact - 1)
+    for limit in (1e-9, 1e-6, 1e-3):
+        accurate = bodies._find_accurate_solutions(full, at, solved, limit)
+        assert (error[accurate] <= limit).all()
+        assert (error[~accurate] > limit / 1e3).all()  # nothing accurate is omitted
+    assert error[0] > 1e-4
+    assert error[-1] < 1e-9
