@@ -1,4 +1,4 @@
-"""Corrections of a body's responses by additional cubic shape functions.
+"""Correction of the mesh error of a body's responses by additional cubic shape functions.
 
 The functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f``, ``S = [[K, C],
 [C', -P]]`` of displacements and potentials w. The residual of a static response w of the mesh is

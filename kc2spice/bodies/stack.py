@@ -204,7 +204,7 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Return the materials of the levels, and the index of the material of each level.
+    """Return the different materials, and for each level the index of its material.
 
     ``spans`` are the numbers of layers in the levels from the bottom to the top, 0 in a cap.
     """

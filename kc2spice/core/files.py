@@ -18,7 +18,7 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError, did_you_mean
 
 # Main output files. These files are deleted first and written last. A reader therefore never finds
-# # an incomplete set of files, even if the process is killed between two renames.
+# an incomplete set of files, even if the process is killed between two renames.
 RESULT_FILE = "result.json"
 MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"

@@ -29,7 +29,7 @@ from kc2spice.core.waveforms import Function
 
 
 def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Return the names of domains, which are the kinds of pins."""
+    """Return the names of domains."""
     return tuple(map(attrgetter("name"), domains))
 
 

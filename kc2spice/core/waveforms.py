@@ -359,7 +359,7 @@ def pulse_waveform(
 class RecordedWave(EqualByContent):
     """Smooth curve through ``values`` (n,) at ``times`` (n,), constant before and after.
 
-    The curve consists of cubic polynomials (Akima, J. ACM 17, 589, 1970).
+    Between two samples, the curve is a cubic polynomial (Akima, J. ACM 17, 589, 1970).
 
     Every 16th sample is a corner, so no step of an integrator is longer than 16 samples. Without
     this limit, an integrator could miss an event after a long rest.

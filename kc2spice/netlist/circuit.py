@@ -112,7 +112,7 @@ class Element(Card):
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
     def with_unit(self, unit: str) -> Element:
-        """Return a copy of the element, whose values are in this unit."""
+        """Return a copy of the element with ``unit`` as the unit of its values."""
         return replace(self, unit=unit)
 
     @cached_property

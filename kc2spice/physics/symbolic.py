@@ -250,7 +250,7 @@ def _chain_rule(function: str, value: Tree) -> Tree:
 
 
 def _make_product(left: Tree, right: Tree) -> Tree:
-    """Return a product; zero if a factor is zero, as in most derivatives of a long sum."""
+    """Return the product of two trees, or zero if one of them is zero."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 

@@ -95,7 +95,7 @@ def _with_nets(scene: Scene) -> Scene:
     return scene
 
 
-# Names of the first and the second pin of a part with two pins in other programs.
+# Names that other programs use for the first and for the second pin of a part with two pins.
 _FIRST_PINS = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
 _SECOND_PINS = ("n", "m", "minus", "neg", "negative", "2", "-", "cathode", "ground", "gnd", "com")
 

@@ -66,7 +66,7 @@ def load_scene(
     Raises
     ------
     UsageError : the scene does not exist or is not TOML, a key or part type is unknown, a value is
-    invalid, keys contradict each other, or pins do not match.
+        invalid, keys contradict each other, or pins do not match.
 
     Examples
     --------

@@ -105,7 +105,7 @@ def _end_with_parent() -> tuple[str, ...]:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write texts to files in ``directory``; the file names may contain folders.
+    """Write each text to its file in ``directory``; the file names may contain folders.
 
     Raises
     ------

@@ -200,7 +200,7 @@ def subcircuit(
 
 
 def _unknown_losses_error(name: str, got: str) -> UsageError:
-    """Return the error about a model whose losses are unknown, so that it has no heat pin."""
+    """Return the error for a heat pin of a model whose losses are unknown."""
     return UsageError(
         "the losses of this model are unknown, so this model cannot have a heat pin",
         where=name,

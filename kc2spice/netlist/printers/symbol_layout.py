@@ -32,7 +32,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Box:
-    """Rectangular symbol with pins; ``width`` and ``height`` are half of its size [grid units]."""
+    """Rectangle with pins; ``width`` and ``height`` [grid units] are half of its size."""
 
     width: int
     height: int

@@ -72,7 +72,7 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 COLD = "coils at the temperature of their data, without heating"
 HOT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-# A, current for plots and comparisons of the force if a scene states no current limit
+# Current in A for plots and checks of the force, if the scene states no limit of the current.
 DEFAULT_CURRENT = 0.1
 # ratio of the number of cells along each edge of the mesh in verify to the number for the table
 REFINEMENT_RATIO = 2

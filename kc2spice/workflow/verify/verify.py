@@ -71,9 +71,9 @@ STEADY_METRIC_LIMIT = 5e-9
 STEADY_WAVE_LIMIT = 3e-8
 # default error limit of noise, because Boltzmann's constant has seven digits in ngspice
 NOISE_LIMIT = 1e-6
-# A source that replays samples of ngspice has an error of about 1e-3 in its derivative, and
-# therefore in the current into a capacitance (2.5e-3 at the edges of a half-bridge). The work of
-# the source has an error of 5e-6.
+# A source that repeats the recorded samples of ngspice has a derivative with an error of about
+# 1e-3. The current into a capacitance has the same error, up to 2.5e-3 at the edges of a
+# half-bridge. The work of the source has an error of 5e-6.
 REPLAY_LIMIT_FACTOR = 5.0
 REPLAY_BALANCE_LIMIT = 1e-5
 
