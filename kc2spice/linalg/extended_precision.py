@@ -1,7 +1,7 @@
-"""Products and solutions of dense matrices with more than double precision, by BLAS.
+"""Products of dense matrices in extended precision, and solutions refined with such products.
 
 In an ill-conditioned matrix, low-frequency modes depend on small differences of large numbers.
-Residuals in extended precision preserve these differences.
+Residuals in extended precision preserve these differences. All products are computed by BLAS.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)
 95; iterative refinement, Skeel, Math. Comput. 35 (1980) 817.
@@ -27,7 +27,7 @@ DIVERGED_CORRECTION = 1e-3
 class ExactMatrix:
     """Real matrix whose products have errors of about 1e-18 of their largest term.
 
-    The errors are not larger if the terms of a product cancel.
+    The errors do not grow if the terms of a product cancel.
     """
 
     def __init__(self, matrix: np.ndarray) -> None:
@@ -66,7 +66,7 @@ def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
 
 
 class RefinedSolver:
-    """Solver of ``(A + s E) x = b`` for any s, with iterative refinement to full accuracy."""
+    """Solver of ``(A + s E) x = b`` for any complex s, with iterative refinement of x."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
@@ -103,7 +103,7 @@ class RefinedSolver:
 
 
 def _make_singular_error(s: complex) -> SimulationError:
-    """Return the error for a value of s that is a pole."""
+    """Return the error for a singular matrix ``A + s E``."""
     return SimulationError(
         "the matrix of the equations cannot be factorised",
         where="direct solver",

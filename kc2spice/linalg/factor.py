@@ -57,10 +57,11 @@ def require_memory_for_factors(
 ) -> None:
     """Raise an error if the factors of a reduction exceed the memory that is free now.
 
-    A reduction needs one real and one complex factor. For plates, the estimate of their memory is
-    up to five times too large. A ``definite`` or quasi-definite matrix needs only one factor
-    without pivoting, which has half of the entries. If the user supplies a solver, this function
-    does nothing, because the memory of this solver is unknown. ``where`` is the place of the error.
+    A reduction needs one real and one complex factor. For plates, the estimated memory of both
+    factors is up to five times too large. A ``definite`` or quasi-definite matrix needs only one
+    factor without pivoting. This factor has half as many entries as an LU factor. If the user
+    supplies a solver, this function does nothing, because the memory of this solver is unknown.
+    The error message states ``where`` as its location.
 
     Raises
     ------
@@ -68,8 +69,8 @@ def require_memory_for_factors(
     """
     rows = matrix.shape[0]
     size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
-    # The bandwidth is at most the number of rows. Its computation takes as long as an assembly, so
-    # the number of rows is tried first.
+    # The bandwidth is at most the number of rows. The computation of the bandwidth takes as long as
+    # an assembly, so the first check uses the number of rows instead.
     if (
         supplied_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
@@ -91,16 +92,17 @@ def require_memory_for_factors(
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# Residuals of a backward-stable solver are about 1e-15; the limit permits 10^4 times larger ones.
+# Largest backward error of a solution. The backward error of a stable solver is about 1e-15; the
+# limit is 10^4 times larger.
 RESIDUAL_LIMIT = 1e-11
 # Factors without pivoting lose digits. If k digits of a factor are correct, each refinement step
 # makes k more digits of the solution correct.
 MAX_REFINEMENTS = 3
 # Half-bandwidth up to which a banded factor costs less than the search for an elimination order.
 MAX_HALF_BANDWIDTH = 600
-# Number of unknowns from which a multifrontal factor in Python takes less time than SuperLU.
+# Smallest number of unknowns for which a multifrontal factor in Python is faster than SuperLU.
 QUASI_DEFINITE_UNKNOWNS = 20_000
-# Number of unknowns from which nested dissection saves more time than it needs.
+# Smallest number of unknowns for which nested dissection saves more time than it takes.
 DISSECTION_UNKNOWNS = 5000
 _LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
 # number of stored elimination orders: a reduction uses matrices of one or two sparsity patterns
@@ -112,11 +114,11 @@ _orders: dict[bytes, np.ndarray | None] = {}
 class Factor:
     """Factorised matrix; ``solve`` raises an error instead of returning an inaccurate solution.
 
-    ``order`` (n,) is the order of elimination, None if the solver chose it. ``negative`` is the
-    number of negative eigenvalues, None if it is unknown.
+    ``order`` (n,) is the elimination order, None if the solver chose the order. ``negative`` is the
+    number of negative eigenvalues of the matrix, None if this number is unknown.
 
-    A solution ``x`` whose backward error exceeds ``RESIDUAL_LIMIT`` is refined to ``x + A^-1 (rhs -
-    A x)`` first (Skeel 1980).
+    If the backward error of a solution ``x`` exceeds ``RESIDUAL_LIMIT``, the solution is first
+    refined to ``x + A^-1 (rhs - A x)`` (Skeel 1980).
     """
 
     matrix: scipy.sparse.csc_array
@@ -206,13 +208,14 @@ def factorise(
 ) -> Factor:
     """Factorise a symmetric matrix, real or complex.
 
-    A positive definite matrix of half-bandwidth b gets a banded Cholesky factor if b is small. This
-    factor costs n b^2 operations. A positive definite matrix with a larger bandwidth gets a
-    supernodal Cholesky factor. All other matrices get the factor of :func:`factorise_two_sided`.
+    A positive definite matrix with a small half-bandwidth b gets a banded Cholesky factor. For n
+    unknowns, this factor costs n b^2 operations. A positive definite matrix with a larger bandwidth
+    gets a supernodal Cholesky factor. All other matrices get the factor of
+    :func:`factorise_two_sided`.
 
-    An elimination ``order`` that is known from a matrix with a similar pattern makes the search for
-    an order unnecessary. The solver of a user factorises a definite matrix only if this solver
-    counts negative eigenvalues.
+    If the elimination ``order`` of a matrix with a similar sparsity pattern is given, no search for
+    an order is necessary. A solver that the user supplies factorises a definite matrix only if this
+    solver counts negative eigenvalues.
 
     Raises
     ------
@@ -254,7 +257,10 @@ def _make_indefinite_error(got: str) -> SimulationError:
 def _factorise_definite_with_solver(
     solver: DirectSolver, matrix: scipy.sparse.csc_array
 ) -> Factor | None:
-    """Factorise a matrix with the user's solver; None unless the solver proves it definite."""
+    """Factorise a positive definite matrix with the user's solver.
+
+    Return None if the solver does not count the negative eigenvalues of the matrix.
+    """
     supplied = factorise_with_solver(solver, matrix)
     negative = getattr(supplied, "negative_eigenvalues", None)
     if negative is None:
@@ -307,9 +313,9 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
 
 
 def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
-    """Factorise a sparse matrix and its transpose, first without pivoting if possible.
+    """Factorise a sparse matrix and its transpose.
 
-    A symmetric matrix is factorised without pivoting first. If a trial solution with this factor is
+    A symmetric matrix is first factorised without pivoting. If a trial solution with this factor is
     inaccurate, as for an indefinite matrix, the factorisation is repeated with partial pivoting.
 
     Raises
@@ -348,7 +354,7 @@ def _factorise_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
     """Return functions that solve with a matrix and with its transpose.
 
-    With ``symmetric``, the pivots are diagonal entries, even if they are small.
+    If ``symmetric`` is true, the pivots are diagonal entries, even if these entries are small.
     """
     from scipy.sparse.linalg import splu
 
@@ -373,15 +379,16 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
 
 
 def find_elimination_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    """Find an elimination order ``p`` (n,) with sparse factors of ``matrix[p][:, p]``.
+    """Find an elimination order ``p`` (n,) for which the factors of ``matrix[p][:, p]`` are sparse.
 
-    The order is computed by nested dissection (METIS in gmsh). The result is None for small
-    matrices. It is also None, with a warning, if gmsh is not installed. The solver then determines
-    the order.
+    The order is computed by nested dissection (METIS in gmsh). For small matrices, the function
+    returns None, and the solver determines the order. If gmsh is not installed, the function also
+    returns None and issues a warning.
 
-    Unknowns whose columns have the same pattern (the unknowns of one node) stay together, so that
-    the graph equals the graph of the mesh. Time and memory depend on the elimination order, but the
-    accuracy of results does not. The elimination orders of the last patterns are stored.
+    Unknowns whose columns have the same sparsity pattern, such as the unknowns of one node, become
+    one vertex of the graph for METIS. This graph equals the graph of the mesh. Time and memory
+    depend on the elimination order, but the accuracy of solutions does not. The elimination orders
+    of the most recent sparsity patterns are stored for later calls.
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """
@@ -424,7 +431,7 @@ def _order_by_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
     """Group unknowns by a hash of the patterns of their columns.
 
-    The results are the group of every unknown and the first unknown of each group.
+    Return the group number of every unknown, and the first unknown of each group.
     """
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]
@@ -434,9 +441,9 @@ def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndar
 
 
 def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of a graph with ``edges`` (m, 2), and their positions for elimination.
+    """Return the nodes of a graph with ``edges`` (m, 2), and their places in the elimination order.
 
-    METIS in gmsh orders meshes, so the graph becomes a mesh of lines.
+    METIS in gmsh orders only meshes, so each edge of the graph becomes a line element.
     """
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:

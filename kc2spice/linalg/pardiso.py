@@ -1,7 +1,7 @@
 """Factors of sparse matrices by PARDISO of the Intel Math Kernel Library (package ``mkl``).
 
-PARDISO factorises symmetric indefinite and complex symmetric matrices in half of the memory of an
-LU factor, and in a fraction of its time. The functions of the library are called directly.
+For symmetric indefinite and complex symmetric matrices, PARDISO needs half of the memory of an LU
+factorisation, and much less time. The functions of the library are called through ``ctypes``.
 
 Source: O. Schenk, K. Gaertner, Future Generation Computer Systems 20 (2004) 475.
 """
@@ -21,8 +21,8 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import OPTIONAL_LIBRARIES
 
-# PARDISO's numbers for symmetric matrices, keyed by whether the matrix is complex. PARDISO reads
-# only the upper triangle of a symmetric matrix.
+# PARDISO's numbers of matrix types, keyed by whether the matrix is complex. PARDISO reads only the
+# upper triangle of a symmetric matrix.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
 # phases of a PARDISO call
@@ -31,7 +31,8 @@ SOLVE = 33
 RELEASE = -1
 # largest relative difference between a symmetric matrix and its transpose
 SYMMETRY_TOLERANCE = 1e-12
-# Pivots below 10^-digits of the norm of the matrix are replaced; keyed by symmetry of the matrix.
+# Exponents k, keyed by whether the matrix is symmetric. PARDISO replaces pivots that are smaller
+# than 10^-k times the norm of the matrix.
 PIVOT_DIGITS = {True: 8, False: 13}
 # indices in the parameter array ``iparm``, counted from 0
 OWN_VALUES = 0
@@ -112,9 +113,9 @@ def require_library() -> None:
 
 
 def _complete_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
-    """Return a matrix by rows with all diagonal entries, also zeros.
+    """Return a matrix in CSR format that stores all diagonal entries, including zeros.
 
-    Of a symmetric matrix, the result contains only the upper triangle.
+    If ``symmetric`` is true, the returned matrix contains only the upper triangle.
     """
     entries = scipy.sparse.coo_array(scipy.sparse.triu(matrix) if symmetric else matrix)
     n = entries.shape[0]
@@ -135,7 +136,7 @@ def _call_pardiso(
     rhs: np.ndarray | None = None,
     x: np.ndarray | None = None,
 ) -> None:
-    """Call PARDISO.
+    """Run one phase of PARDISO by a call of its library function.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def _get_address(array: np.ndarray) -> ctypes.c_void_p:
 
 @cache
 def _load_library() -> ctypes.CDLL:
-    """Load the library from the package ``mkl`` or from the system."""
+    """Load the library that contains PARDISO, from the package ``mkl`` or from the system."""
     try:
         files = importlib.metadata.files("mkl") or []
     except importlib.metadata.PackageNotFoundError:

@@ -1,8 +1,8 @@
 """Choice of OpenBLAS kernels for processors that are newer than the library.
 
 The OpenBLAS in cvxopt supports processors up to 2021. On a newer Intel processor, OpenBLAS uses
-kernels from 2004. With them, a Cholesky factor of 103 000 unknowns took 12.5 s of CPU time instead
-of 4.4 s with kernels for AVX-512.
+kernels from 2004. With these kernels, a Cholesky factor of 103 000 unknowns took 12.5 s of CPU time
+instead of 4.4 s with kernels for AVX-512.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
-    """Return the fastest kernels for a set of processor instructions, None if there are none.
+    """Return the name of the fastest kernels for a set of processor instructions.
+
+    Return None if no kernels match.
 
     Examples
     --------
@@ -35,7 +37,10 @@ def select_kernels(flags: set[str]) -> str | None:
 
 
 def read_processor_flags() -> set[str]:
-    """Return the instructions that the processor and the system support, empty if unknown."""
+    """Return the names of the instructions that the processor and the system support.
+
+    The set is empty if the operating system does not list the instructions.
+    """
     try:
         lines = _CPU_INFO.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
@@ -45,9 +50,9 @@ def read_processor_flags() -> set[str]:
 
 @contextmanager
 def use_fast_kernels() -> Iterator[None]:
-    """Let a library that is imported in this context use the kernels of the processor.
+    """Make a library that is imported within this context use the fastest OpenBLAS kernels.
 
-    If the user has set the environment variable ``OPENBLAS_CORETYPE``, it has priority.
+    If the user has set the environment variable ``OPENBLAS_CORETYPE``, its value has priority.
     """
     kernels = None if CORE_TYPE_VARIABLE in os.environ else select_kernels(read_processor_flags())
     if kernels is None:

@@ -1,14 +1,15 @@
 """Factors of large sparse quasi-definite matrices, such as matrices of piezoelectric solids.
 
-A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. In any order of its
-unknowns it has a factor ``L D L'`` without pivoting, in which D is 1 for unknowns of A and -1 for
-unknowns of C. The signs are known beforehand, so the factor also proves that both blocks are
-definite.
+A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. For any order of its
+unknowns, it has a factor ``L D L'`` without pivoting. The diagonal of D is 1 for unknowns of A and
+-1 for unknowns of C. These signs are prescribed, so a successful factorisation also proves that
+both blocks are definite.
 
 The method is multifrontal. The elimination tree is divided into supernodes: unknowns whose columns
-of L have nearly the same pattern. The front of a supernode is a dense matrix of these unknowns, the
-pivots, and of the later unknowns that are coupled to the pivots. Dense Cholesky factors eliminate
-the pivots, first of A and then of C. The remainder is added to the next front.
+of L have nearly the same pattern. The unknowns of a supernode are its pivots. The front of a
+supernode is a dense matrix of the pivots and of the later unknowns that are coupled to them. Dense
+Cholesky factors eliminate the pivots, first the pivots of A and then the pivots of C. The remaining
+Schur complement is added to the front of the parent supernode.
 
 Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.
 Software 9 (1983) 302; J. W. H. Liu, SIAM Review 34 (1992) 82; C. Ashcraft, R. Grimes, ACM Trans.
@@ -25,10 +26,11 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Number of unknowns of a supernode, and largest share of zeros up to this number. The shares were
-# found by trials: zeros cost operations, and small supernodes cost time of the interpreter.
+# Pairs: a number of unknowns, and the largest share of zeros in supernodes with at most this number
+# of unknowns. The shares were found by trials: zeros cost floating-point operations, and small
+# supernodes cost time of the Python interpreter.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
-STRIP_WIDTH = 64  # columns of a remainder that are added to a front at once
+STRIP_WIDTH = 64  # number of columns of a Schur complement that are added to a front at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +50,11 @@ class Supernode:
 
 @dataclass(frozen=True, eq=False)
 class ColumnPanel:
-    """Columns of L of a supernode with k pivots and m rows.
+    """Columns of the factor L of one supernode, with k pivots and m coupled rows.
 
     ``pivot_order`` (k,) is the order of the pivots. The first ``positive`` pivots have the sign 1,
     the others -1. ``triangle`` (k, k) contains the rows of the pivots, and ``below`` (m, k) the
-    other rows.
+    coupled rows.
     """
 
     pivot_order: np.ndarray
@@ -73,7 +75,7 @@ class QuasiDefinite:
     group : (n,) array
         Group number of each unknown; the columns of one group have the same pattern.
     order : (n,) array
-        Order of elimination in which L is sparse, groups one after another.
+        Elimination order for which L is sparse; the unknowns of each group are consecutive.
 
     Raises
     ------
@@ -101,7 +103,7 @@ class QuasiDefinite:
                 updates[node.parent].append((node.rows, remainder))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return the solution of one (n,) or several (n, k) right-hand sides."""
+        """Return the solution for one (n,) or several (n, k) right-hand sides."""
         x = np.asarray(rhs, dtype=float).reshape(len(rhs), -1)[self._order]
         steps = list(zip(self._supernodes, self._panels, strict=True))
         for node, panel in steps:
@@ -125,16 +127,18 @@ def _assemble_front(
     updates: Sequence[tuple[np.ndarray, np.ndarray]],
     place: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Assemble a front from the matrix and from the remainders of other fronts.
+    """Assemble the front of a supernode from the matrix and the updates of its children.
 
-    The results are the columns of the pivots (k + m, k), and the matrix (m, m) of the other rows.
-    Only lower triangles are assembled. ``place`` (n,) is working memory.
+    Return the columns of the k pivots, an array of shape (k + m, k), and the block of the m coupled
+    rows, an array of shape (m, m). Only the lower triangles are assembled. ``place`` (n,) is
+    working memory.
     """
     count, rows = node.end - node.begin, node.rows
     size = count + rows.size
     place[node.begin : node.end] = np.arange(count)
     place[rows] = np.arange(count, size)
-    panel, remainder = np.zeros((count, size)), np.zeros((rows.size,) * 2)  # both transposed
+    # both arrays are transposed
+    panel, remainder = np.zeros((count, size)), np.zeros((rows.size,) * 2)
     begin, end = lower.indptr[[node.begin, node.end]]
     column = np.repeat(np.arange(count), np.diff(lower.indptr[node.begin : node.end + 1]))
     panel[column, place[lower.indices[begin:end]]] = lower.data[begin:end]
@@ -209,8 +213,8 @@ def find_supernodes(
 ) -> tuple[np.ndarray, list[Supernode]]:
     """Find the supernodes of a symmetric pattern, and number the unknowns by supernodes.
 
-    The first result is the new elimination order (n,). Its fill equals the fill of ``order``, apart
-    from zeros in supernodes.
+    Return the new elimination order (n,) and the supernodes. The fill of the new order equals the
+    fill of ``order``, apart from zeros in supernodes.
     """
     sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # groups by elimination
     rank = np.empty(len(sequence), dtype=np.intp)
@@ -226,7 +230,7 @@ def find_supernodes(
 def _find_neighbours(
     matrix: scipy.sparse.csc_array, numbers: np.ndarray, order: np.ndarray
 ) -> tuple[list[np.ndarray], list[list[int]]]:
-    """Return the neighbours that are eliminated after each group, and before each group."""
+    """Return the later and the earlier neighbours of each group, in the order of elimination."""
     count = int(numbers.max()) + 1
     first = np.full(count, -1)
     first[numbers[order[::-1]]] = order[::-1]
@@ -258,7 +262,10 @@ def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
 def _form_relaxed_supernodes(
     below: Sequence[np.ndarray], parent: Sequence[int], weight: np.ndarray
 ) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
-    """Return the groups of pivots and of rows of each supernode, keyed by its last pivot."""
+    """Return the pivot groups and the row groups of each supernode.
+
+    The key of a supernode is its last pivot group.
+    """
     pivots, rows = dict[int, list[int]](), dict[int, np.ndarray]()
     sizes = dict[int, tuple[int, int, int]]()  # numbers of pivots, rows and zeros of each supernode
     children: list[list[int]] = [[] for _ in below]
@@ -290,7 +297,7 @@ def _number_supernodes(
     numbers: np.ndarray,
     order: np.ndarray,
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Return the elimination order (n,) by supernodes, children first, and the supernodes."""
+    """Return the elimination order (n,) and the supernodes, children before their parents."""
     owner = {group: last for last, groups in pivots.items() for group in groups}
     parents = {last: owner.get(parent[last], -1) for last in pivots}
     children = dict[int, list[int]]()

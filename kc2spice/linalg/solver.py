@@ -1,7 +1,8 @@
 """Direct solvers that users supply instead of the built-in solvers.
 
-A solver is a function or class that factorises one sparse matrix. :func:`use_solver` selects it
-for all factors within the context. :mod:`kc2spice.linalg.factor` obtains the solver here.
+A solver is a function or class that factorises one sparse matrix. :func:`use_solver` selects a
+solver for all factorisations within a context. :mod:`kc2spice.linalg.factor` gets the selected
+solver from this module.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError, unknown
 
 HOW = (
-    "'pardiso', or a class with solve(rhs), made from one sparse matrix, such as "
+    "'pardiso', or a function of one sparse matrix that returns an object with solve(rhs), such as "
     "scipy.sparse.linalg.splu"
 )
 
@@ -34,7 +35,7 @@ class Factorisation(Protocol):
 
 
 PARDISO = "pardiso"
-SOLVERS = (PARDISO,)  # names of solvers
+SOLVERS = (PARDISO,)  # names of direct solvers that users can select
 DirectSolver: TypeAlias = Callable[[Any], Factorisation]
 _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 
@@ -66,7 +67,7 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
             where="solver",
             got=got,
             expected=HOW,
-            hint="leave out solver: SuperLU then factorises the matrices",
+            hint="omit the argument solver to use the built-in solvers",
         )
     token = _supplied.set(solver)
     try:
@@ -76,11 +77,11 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
 
 
 def require_solver(name: str | None, where: str) -> str | None:
-    """Return the name of a solver from the command line if the solver exists.
+    """Check that the direct solver ``name`` of a command-line option exists, and return the name.
 
     Raises
     ------
-    UsageError : the solver does not exist; ``where`` is the option with the name.
+    UsageError : the solver does not exist; ``where`` is the option that contains the name.
     """
     if name is not None and name not in SOLVERS:
         raise unknown("this direct solver does not exist", name, SOLVERS, where)
@@ -110,7 +111,7 @@ def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
 
 
 def solve_with_factor(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
-    """Solve for one (n,) or several (n, k) right-hand sides with a factor of the user's solver.
+    """Solve for right-hand sides (n,) or (n, k) with a factor of the user's solver.
 
     Raises
     ------

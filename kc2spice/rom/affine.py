@@ -2,8 +2,8 @@
 
 A matrix is ``M(p) = sum_i f_i(p) M_i``. The matrices M_i come from another program, and the factors
 are functions of the parameters. The result of the reduction is a
-:class:`kc2spice.rom.ranges.ModelOverRanges`. A body of a scene whose keys are parameters of its
-netlist has the same class.
+:class:`kc2spice.rom.ranges.ModelOverRanges`. The reduced model of a body of a scene has the same
+class if keys of the body are parameters of the netlist.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ class ModelParameter:
 
 @dataclass(frozen=True, eq=False)
 class AffineTerm:
-    """Term ``factor(p) matrix`` of a matrix of the model.
+    """Term ``factor(p) matrix`` that is added to one matrix of the model.
 
-    ``letter`` is the name of the matrix of the model: M or K; in a heat model E or K.
-    ``description`` is the text of the factor in error messages.
+    ``letter`` is the name of this matrix of the model: M or K; in a heat model E or K.
+    ``description`` is the name of the factor in error messages.
     """
 
     letter: str
@@ -126,21 +126,23 @@ class AffineModel:
     Parameters
     ----------
     model : LinearModel
-        Constant parts of all matrices, ports and damping. Damping is proportional to mass and
-        stiffness (``rayleigh``), or absent. All ports of a heat model are thermal.
+        Model with the constant part of each matrix, the ports and the damping. Damping is
+        proportional to mass and stiffness (``rayleigh``), or absent. All ports of a heat model are
+        thermal.
     terms : sequence of tuples
-        Letter ``"K"``, ``"M"`` or ``"E"``, a matrix (n, n), and its factor: a function of a mapping
-        that contains the values of all parameters. In heat models, each factor is a product of
-        parameters with the powers -1, 0 or 1.
+        Each tuple contains a letter ``"K"``, ``"M"`` or ``"E"``, a matrix (n, n), and its factor.
+        The factor is a function of a mapping that contains the values of all parameters. In heat
+        models, each factor is a product of parameters with the powers -1, 0 or 1.
     parameters : sequence of ModelParameter
         One to four parameters with their ranges.
     assemble : callable, optional
-        Function that returns the model for values of the parameters; replaces ``terms``.
+        Function that returns the full-order model for values of the parameters. This function
+        replaces ``terms``.
 
     Raises
     ------
-    UsageError : there are no parameters or more than four, two have the same name, or the matrices
-        differ in size.
+    UsageError : there are no parameters or more than four, two parameters have the same name, or
+        the matrices differ in size.
 
     Examples
     --------
@@ -248,13 +250,13 @@ class AffineModel:
 def sum_affine_terms(
     constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
 ) -> dict[str, Matrix]:
-    """Add the terms for values of the parameters to the constant matrices.
+    """Return the sums of the constant matrices and of the terms at ``values``, keyed by letter.
 
-    The matrices are keyed by their letters.
+    ``values`` are the values of the parameters.
 
     Raises
     ------
-    UsageError : a term has another size than its matrix, or a factor is not a number.
+    UsageError : the sizes of a term and of its matrix differ, or a factor is not a number.
     """
     result = dict(constant)
     for term in terms:
@@ -285,14 +287,16 @@ def reduce_affine(
     affine : AffineModel
         Full-order models, symmetric and with conservative ports only.
     tolerance : float
-        Largest relative error over the band and over the ranges.
-    band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz. The default is the band of the model. If the model has
-        no band, it ends a little above the fifth natural frequency in the middle of the ranges.
+        Largest relative error of the response over the band and over the parameter ranges.
+    band : tuple of two floats or strings, optional
+        Lowest and highest frequency: numbers in Hz, or strings with a unit. The default is the band
+        of the model. If the model has no band, the default band ends a little above the fifth
+        natural frequency in the middle of the parameter ranges.
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     progress : callable, optional
-        Called with the number of full-order models that are solved, and the number of all models.
+        Function that is called with the number of full-order models solved so far, and with the
+        total number of full-order models.
 
     Returns
     -------
@@ -308,7 +312,7 @@ def reduce_affine(
     """
     middle = {axis.name: axis.middle for axis in affine.axes}
     heat = affine.conducts_heat
-    fit = _keep_damping if heat else _proportional
+    fit = _keep_damping if heat else _complete_rayleigh_factors
     model = fit(affine.at(middle))
     norm = norm or choose_default_norm(model)
     require_valid(Target(tolerance, None, parse_band(band), norm, False, None))
@@ -328,12 +332,12 @@ def reduce_affine(
     except np.linalg.LinAlgError:
         raise _make_indefinite_error(affine, "a value inside of the ranges") from None
     units = {item.name: item.unit for item in affine.parameters}
-    words = {item.name: item.description for item in affine.parameters}
-    return replace(result, defaults=affine.defaults, units=units, descriptions=words)
+    descriptions = {item.name: item.description for item in affine.parameters}
+    return replace(result, defaults=affine.defaults, units=units, descriptions=descriptions)
 
 
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
-    """Check that M and K are semidefinite for values of the parameters, before the reduction."""
+    """Check that K, and M or E, are positive semidefinite at ``values`` of the parameters."""
     model = affine.at(values)
     stiffness, *others = model.pencil.coefficients
     for letter, matrix in zip("K" + affine.letters[0], (stiffness, others[-1]), strict=True):
@@ -368,12 +372,12 @@ def _keep_damping(model: LinearModel) -> LinearModel:
     return model
 
 
-def _proportional(model: LinearModel) -> LinearModel:
-    """Return the model with proportional damping; a model without damping gets the factors zero.
+def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
+    """Return the model with Rayleigh factors; they are zero if the model has no damping.
 
     Raises
     ------
-    UsageError : the damping is not proportional.
+    UsageError : the model has structural damping.
     """
     if model.structural:
         raise UsageError(

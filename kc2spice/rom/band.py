@@ -15,21 +15,23 @@ from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 BAND_MODES = 5
-MAX_DENSE_EQUATIONS = 200  # largest number of equations of which all poles are computed
-BAND_MARGIN = 1.1  # ratio of the end of the band to the frequency of its last mode
-MASSLESS_SHIFT = 1e-6  # shift for models with massless unknowns, relative to the largest rate
-RIGID_SHIFT = 1e-9  # relative shift with which the Lanczos method separates rigid-body modes
+MAX_DENSE_EQUATIONS = 200  # largest number of equations of a model for which all poles are computed
+BAND_MARGIN = 1.1  # ratio of the upper band limit to the highest natural frequency in the band
+# shift for models with massless unknowns, relative to the largest stiffness per largest mass
+MASSLESS_SHIFT = 1e-6
+# shift that separates rigid-body modes in the Lanczos method, relative to the largest K_ii / M_ii
+RIGID_SHIFT = 1e-9
 ZERO_MASS = 1e-13  # largest mass that counts as zero, relative to the largest mass
 RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
-EIGENVALUE_TOLERANCE = 1e-9  # relative error of the eigenvalues of the inverse of ``K + shift M``
+EIGENVALUE_TOLERANCE = 1e-9  # largest relative error of the eigenvalues that ARPACK computes
 
 
 def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
-    The band ends a little above this frequency of the full model: an undamped natural frequency of
-    a second-order model, or a corner frequency of a first-order model. Rigid-body modes do not
-    count.
+    The band ends a little above this frequency of the full model. For second-order models, it is an
+    undamped natural frequency; for first-order models, it is a corner frequency. Rigid-body modes
+    do not count.
 
     Raises
     ------
@@ -69,8 +71,8 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
 def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
-    The model is symmetric and of second order. Rigid-body modes do not count. If the model has
-    fewer than ``count`` modes, the result contains all modes.
+    The model must be symmetric and of second order. Rigid-body modes do not count. If the model has
+    fewer than ``count`` elastic modes, all their frequencies are returned.
 
     The eigenvalues are computed with ``K + sigma M`` and a small sigma > 0, because K of an
     unsupported body is singular. A mode whose energy ``x'Kx`` is within the rounding error of the
@@ -82,7 +84,7 @@ def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
         mass = np.linalg.eigvalsh(M)
         if mass[0] > ZERO_MASS * mass[-1]:
             X = np.asarray(eigh(K, M)[1])
-        else:  # modes of massless unknowns are infinitely fast
+        else:  # massless unknowns have infinite natural frequencies
             inverse, T = eigh(M, K + MASSLESS_SHIFT * largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > ZERO_MASS * inverse[-1]][:, ::-1]
         return _rayleigh_quotients(K, M, X)[:count]
@@ -123,7 +125,7 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
 def find_band_end(pencil: Pencil, count: int, high: float) -> float:
     """Return the frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
 
-    The result is ``high`` if the model has fewer modes, or if the modes cannot be computed.
+    Return ``high`` if the model has fewer than ``count`` modes, or if the modes cannot be computed.
     """
     pencil = eliminate_algebraic_unknowns(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
@@ -146,7 +148,10 @@ def _compute_all_rates(pencil: Pencil) -> np.ndarray:
 
 
 def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
-    """Return the lowest rates: reciprocal eigenvalues of ``P(0)^-1`` times the inertia matrix."""
+    """Return the smallest magnitudes of the eigenvalues of a pencil.
+
+    They are the reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia matrix.
+    """
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)

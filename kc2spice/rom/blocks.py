@@ -1,11 +1,11 @@
-"""Transformation of state spaces to decoupled real blocks.
+"""Transformation of state-space models to decoupled real blocks.
 
 A real pole is one block, and a complex pair of poles is one 2 x 2 block. Repeated poles, poles
 whose separation would lose accuracy, and defective poles remain in one larger block. Sylvester
-equations decouple clusters of poles in the real Schur form. A cluster is decoupled if the solution
-of its equation is below a bound (Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359). Larger
-bounds are tried while the response keeps its accuracy, because the size of a netlist is
-proportional to the square of the size of a block.
+equations decouple clusters of poles in the real Schur form. A cluster is decoupled if the norm of
+the solution of its Sylvester equation is below a bound (Bavely and Stewart, SIAM J. Numer. Anal. 16
+(1979) 359). The size of a netlist is proportional to the square of the size of a block. Therefore,
+larger bounds are tried as long as the response remains accurate.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import largest_entry, make_explicit_pencil
 
-# Largest condition number of a decoupling transformation, which loses three digits. Larger numbers
-# are tried, and the loss of accuracy is measured.
+# Largest norm of the solution of a Sylvester equation: a decoupling with this norm loses three
+# digits. The larger limits are tried too, and the loss of accuracy is measured.
 CONDITION_LIMIT = 1e3
 LARGER_LIMITS = 1e5, 1e7, 1e9
-MAX_BLOCK_STATES = 4  # largest number of states of a block for which no larger bound is tried
-# Largest change of the response that a larger bound may cause: relative to the response, and
+MAX_BLOCK_STATES = 4  # largest number of states of a block for which no larger limit is tried
+# Largest change of the response that a larger limit may cause: relative to the response, and
 # relative to the error estimate.
 MAX_RESPONSE_CHANGE = 1e-9
 MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
-EQUALITY_TOLERANCE = 1e-13
+EQUALITY_TOLERANCE = 1e-13  # largest relative size of numbers that count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,9 @@ class BlockModel(EqualByContent):
     """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
 
     The real square blocks have any size. The signals w are determined by algebraic equations:
-    ``0 = P z + Q u + S w``. For example, they are the waves at the ports of a measured multiport.
-    Because the signals w are separate, the blocks have few entries. ``loops`` contains the matrices
-    ``(F, P, Q, R, S)``, and is None if there are no signals w.
+    ``0 = P z + Q u + S w``. For example, the signals w are the waves at the ports of a measured
+    multiport. Because the signals w are separate, the blocks have few entries. ``loops`` contains
+    the matrices ``(F, P, Q, R, S)``, and is None if there are no signals w.
     """
 
     blocks: tuple[np.ndarray, ...]
@@ -89,7 +89,10 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 
 
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
-    """Return frequencies ``j w`` (n,) over the range of the poles, empty if all poles are zero."""
+    """Return imaginary frequencies ``j w`` (n,) that span the magnitudes of the poles of A.
+
+    If all poles are zero, the array is empty.
+    """
     size = np.abs(np.linalg.eigvals(A))
     size = size[size > EQUALITY_TOLERANCE * size.max(initial=0.0)]
     if not size.size:
@@ -100,8 +103,8 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
 def _read_blocks(model: LinearModel) -> BlockModel | None:
     """Return the blocks of a first-order model whose states already form small blocks.
 
-    The result is None for other models. E must be diagonal, with ones before zeros. Rows in which E
-    is zero are algebraic equations; the result contains them as ``loops``.
+    Return None for other models. E must be diagonal, with ones before zeros. Rows in which E is
+    zero are algebraic equations, which become the ``loops`` of the block model.
     """
     if not model.first_order or model.E is None:
         return None
@@ -124,7 +127,11 @@ def _read_blocks(model: LinearModel) -> BlockModel | None:
 def decouple_states(
     A: np.ndarray, growth: float = CONDITION_LIMIT
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """Decompose ``A = X diag(blocks) X^-1``; for symmetric and skew A, X is orthogonal."""
+    """Return the blocks, X and X^-1 of the decomposition ``A = X diag(blocks) X^-1``.
+
+    If A is symmetric or skew-symmetric, X is orthogonal. ``growth`` is the largest norm of the
+    solution of a Sylvester equation.
+    """
     one = np.eye(len(A))
     if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():
         return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
@@ -132,7 +139,7 @@ def decouple_states(
         values, X = eigh(0.5 * (A + A.T))
         return tuple(np.array([[value]]) for value in values), X, X.T
     T, Z = schur(A, output="real")
-    # a model without losses: the poles remain on the imaginary axis
+    # the model has no losses; the skew-symmetric T keeps its poles on the imaginary axis
     if largest_entry(A + A.T) <= EQUALITY_TOLERANCE * largest_entry(A):
         T = 0.5 * (T - T.T)
         T[np.abs(T) <= EQUALITY_TOLERANCE * largest_entry(T)] = 0.0
@@ -143,9 +150,10 @@ def decouple_states(
 def _split_schur_form(
     T: np.ndarray, Z: np.ndarray, growth: float
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """Split the real Schur form into decoupled blocks, from the top.
+    """Split the real Schur form T of ``A = Z T Z'`` into decoupled blocks.
 
-    If the separation of a block would be inaccurate, the nearest pole becomes a part of the block.
+    Blocks are separated from the first row of T to the last row. If the separation of a block would
+    be inaccurate, the nearest pole becomes a part of the block.
     """
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0

@@ -1,4 +1,4 @@
-"""Fit of a passive circuit of parallel branches with leads to a measured one-port.
+"""Fit of a passive circuit, parallel branches in series with leads, to a measured one-port.
 
 The circuit is passive if all amplitudes G, C0, g_i, a_k and c_j are at least zero (s = j w)::
 
@@ -17,18 +17,20 @@ The leads in series with all branches have the resistance R and the inductance L
 of a part is capacitive at the lowest frequencies, no direct current flows through the part, and G
 and g_i are omitted.
 
-The fit minimises the squares of log(Y / Y_measured) over the logarithms of all parameters
+The fit minimises the sum of squares of log(Y / Y_measured) over the logarithms of all parameters
 (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
-deviations, this logarithm equals the relative deviation, but it has no minimum at Y = 0. Elements
-are added one by one. The start values of a resonance are at the largest conductance that no
-element describes yet. Relaxations and inductances start on a grid of time constants, and leads at
-fractions of the largest possible lead. An element remains if it reduces the Bayesian information
-criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). Elements are removed if the criterion falls
-without them, and leads replace branches above the band.
+deviations, this logarithm equals the relative deviation. Unlike the relative deviation, it grows
+without limit as Y approaches zero. Elements are added one by one. A new resonance starts at the
+frequency of the largest conductance that no element describes yet. Relaxations and inductances
+start on a grid of time constants, and leads at fractions of the largest possible lead impedance. An
+element remains if it reduces the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978)
+461). Elements without which the criterion is smaller are removed. Leads replace branches whose
+frequency is above the band.
 
 Rounding errors of the samples do not change the number of elements. Each sum of elements is fitted
-completely before its criterion is evaluated. Of two sums with equal criteria, the first form is
-selected. The search ends if the deviation is within the rounding errors of the frequencies.
+completely before its criterion is evaluated. Of two sums with equal criteria, the sum that was
+tried first is selected. The search ends if rounding errors of the sampled frequencies explain the
+deviation.
 """
 
 from __future__ import annotations
@@ -51,14 +53,15 @@ from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
-PATIENCE = 2  # successive elements below MIN_IMPROVEMENT that end the search
-POOR_PATIENCE = 5  # PATIENCE as long as the deviation is above POOR_DEVIATION
+# number of successive elements with improvements below MIN_IMPROVEMENT after which the search ends
+PATIENCE = 2
+POOR_PATIENCE = 5  # the same number as long as the deviation exceeds POOR_DEVIATION
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
 # start values of a lead, as fractions of the largest possible lead
 LEAD_SHARES = (1e-3, 0.03, 0.5)
 STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
-# largest number of evaluations for the choice among sums of branches, and for the final fit
+# largest number of evaluations of a fit: to select among sums of elements, and for the final fit
 SELECTION_EVALUATIONS = 100
 FINAL_EVALUATIONS = 400
 # largest insignificant difference of the information criterion (Kass and Raftery, 1995)
@@ -76,15 +79,16 @@ def fit_one_port(
 ) -> tuple[LinearModel | None, float]:
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
-    The model has one electrical port, ``anode``. The second result is the relative rms deviation of
-    the model from the samples. There is no model if the deviation exceeds :data:`POOR_DEVIATION`.
-    The error in the certificate is the largest relative deviation from the samples.
+    Return the model, with one electrical port ``anode``, and its relative rms deviation from the
+    samples. If this deviation exceeds :data:`POOR_DEVIATION`, None replaces the model. The error
+    estimate in the certificate is the largest relative deviation from the samples.
 
     Parameters
     ----------
-    noise : relative standard deviation of one component of Y, for the certificate's text.
+    noise : relative standard deviation of the real or imaginary part of Y, which the certificate
+    states.
     conductance : conductance at zero frequency [S]: 0 for a part that blocks direct current, None
-    if the samples determine it.
+    if the samples determine the conductance.
     """
     samples = Samples(f, Y, conductance)
     elements = fit_branches(samples)
@@ -140,7 +144,7 @@ def fit_branches(samples: Samples) -> Elements:
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.refine(_select_best(samples, ends), SELECTION_EVALUATIONS)
+        elements = samples.refine(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
         elements = _simplify(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
@@ -162,10 +166,10 @@ def _count_parameters(elements: Elements) -> int:
     return sum(len(e.logs) for e in elements)
 
 
-def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Select the first sum of elements whose criterion is the smallest within a tolerance.
+def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
+    """Return the first sum of elements whose criterion is within a tolerance of the smallest.
 
-    Rounding errors of the criterion therefore do not change the selection.
+    Because of this tolerance, rounding errors of the criterion do not change the selection.
     """
     values = list(map(samples.criterion, ends))
     good = (
@@ -198,7 +202,7 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
 def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
     """Select the elements whose frequencies are outside of the band.
 
-    Within the band, simpler elements have the same Y.
+    Within the band, simpler elements have the same admittance as the selected elements.
     """
     low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
     high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
@@ -212,9 +216,10 @@ def _log_time(element: FitElement) -> float:
 
 
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
-    """Return whether each element exceeds the deviation at more samples than it has parameters.
+    """Return whether no element describes only the noise of a few samples.
 
-    The result is False for elements that describe only the noise of one sample.
+    The effect of each element must exceed the rms deviation at more samples than the element has
+    parameters.
     """
     left = -np.expm1(-samples.rms(elements))  # rms deviation relative to Y
     return all(
@@ -224,22 +229,22 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 
 def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
-    """Remove or simplify the elements ``doubtful`` if the criterion then falls."""
+    """Remove or simplify elements among ``doubtful`` if this reduces the criterion."""
     value = samples.criterion(elements)
     for element in doubtful:
-        for fewer in _propose_simpler(samples, elements, element):
+        for fewer in _propose_simpler_sums(samples, elements, element):
             end = samples.refine(fewer)
             if end and samples.criterion(end) < value:
                 return _simplify(samples, end, end)
     return elements
 
 
-def _propose_simpler(
+def _propose_simpler_sums(
     samples: Samples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
-    """Yield sums in which an element is omitted or replaced by simpler elements.
+    """Yield sums in which an element is omitted or replaced by a simpler element.
 
-    The simpler elements have the same Y in the band as the element.
+    In the band, the simpler element has the same admittance as the replaced element.
     """
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
@@ -256,7 +261,7 @@ def _propose_simpler(
 
 
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
-    """Yield sums in which leads replace a branch above the band.
+    """Yield sums in which a lead replaces a branch whose frequency is above the band.
 
     In series with the capacitance C0, leads have the same effect as branches in parallel with C0::
 
@@ -292,7 +297,7 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
 
 
 def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
-    """Return sums with one additional element: the best element of each form, not yet refined."""
+    """Return sums with one additional element each: the best start values of each form."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -304,8 +309,8 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that no element describes yet.
 
-    The resonance has the height of this peak, and its width at half of the height. If the sum has
-    no capacitance, a capacitance is added too.
+    The resonance has the height of this peak, and the width of the peak at half of its height. If
+    the sum of elements has no capacitance, a capacitance is added too.
     """
     missing = samples.unexplained_admittance(elements)
     top = int(np.argmax(missing.real))
@@ -341,7 +346,7 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
     for form in ("inductive", "relaxing"):
         if form in forms:
             yield [FitElement(form, (0.0, float(t))) for t in times]
-    for w in _find_worst_fits(samples, elements):
+    for w in _find_worst_frequencies(samples, elements):
         yield [FitElement("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in START_Q_FACTORS]
     if elements:
         for form in LEAD_FORMS:
@@ -350,13 +355,16 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
 
 
 def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
-    """Return leads of one form: fractions of the largest lead that agrees with all samples."""
+    """Return leads of one form, whose impedances are fractions of the largest possible impedance.
+
+    The impedance of a lead cannot exceed the measured impedance at any sample.
+    """
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
     return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
-def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
+def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]:
     """Return up to three angular frequencies [rad/s] at which ``elements`` fit worst.
 
     At these frequencies, the missing conductance, its ratio to abs(Y), or the deviation is largest.
@@ -371,7 +379,7 @@ def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
 def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
     """Replace the resonance nearest to the largest deviation by two resonances.
 
-    The frequencies of the two resonances differ by half of the width of the resonance.
+    The frequencies of the two resonances differ by half of the width of the replaced resonance.
     """
     resonant = [e for e in elements if e.form == "resonant"]
     if not resonant:

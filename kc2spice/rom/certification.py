@@ -18,17 +18,18 @@ from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 # rounding error eps of the stiffness changes the response by eps / (2 damping ratio). The multiple
 # was found by trials.
 RESONANCE_ROUNDING = 4.0
-# Largest number of entries that a certificate lists because they are zero by symmetry. If there are
-# more, the certificate contains their number.
+# Largest number of entries that a certificate lists by name because they are zero by symmetry. The
+# certificate states only the number of further zero entries.
 MAX_LISTED_ZEROS = 6
 
 
 def certify(basis: ReducedBasis, order: int) -> LinearModel:
-    """Return the reduced-order model of an order with its certificate.
+    """Return the reduced-order model with the given order and a certificate.
 
     Raises
     ------
-    SimulationError : the model has a state whose rate is zero within rounding errors.
+    SimulationError : a state of the model has no stiffness, damping or inertia above rounding
+    errors.
     UsageError : the model has no state-space form, which a netlist needs.
     """
     task, response, proof = basis.task, basis.leading_model(order), basis.proof(order)

@@ -3,10 +3,10 @@
 Source: IEEE Std 176-1987.
 
 The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real d and complex
-permittivities ``eps^T (1 - j tan delta)``. They do not depend on frequency, so that all modes have
-the same Q. The body has modes ``omega_j`` with gains g_j of voltages and forces, and the clamped
-capacitance D. Only elastic strain has mechanical losses. For a mode, elastic strain w_j is the
-displacement z_j minus the displacement of the free body at the voltage V:
+permittivities ``eps^T (1 - j tan delta)``. These constants do not depend on frequency, so all modes
+have the same Q factor. The body has modes ``omega_j`` with gains g_j of voltages and forces, and
+the clamped capacitance D. Only elastic strain has mechanical losses. For a mode, elastic strain w_j
+is the displacement z_j minus the displacement of the free body at the voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
@@ -37,13 +37,13 @@ from kc2spice.rom.structural_damping import (
     fit_relaxing_stiffness,
 )
 
-# largest relative error of the response at resonances by the fit of relaxations
+# largest relative error of the response at resonances that the fit of relaxations may cause
 MAX_RELAXATION_ERROR = 1e-3
-# error of the permittivity relative to the loss tangent; the loss tangent is at most 0.02
+# error of the permittivity, relative to the loss tangent or to 0.02, whichever is smaller
 DIELECTRIC_SHARE = 0.01
 # frequency, relative to the lowest resonance, above which errors of the stiffness are amplified
 SENSITIVITY_LIMIT = 0.7
-GRID_FREQUENCIES = 400  # number of frequencies of a band at which the error is measured
+GRID_FREQUENCIES = 400  # number of frequencies in the band at which the error is measured
 # rounds of refinement at antiresonances, and number of frequencies around each antiresonance
 REFINEMENT_ROUNDS = 2
 REFINED_FREQUENCIES = 9
@@ -52,7 +52,7 @@ RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in
 
 @dataclass(frozen=True)
 class ComplexConstants:
-    """Losses of a body by complex constants.
+    """Losses of a body that are given as complex material constants.
 
     Attributes
     ----------
@@ -72,7 +72,9 @@ class ComplexConstants:
         self, omega: np.ndarray, gain: np.ndarray, D: np.ndarray, electrical: np.ndarray,
         frequency: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Compute the exact response (n, ports, ports) of modes with these losses.
+        """Compute the exact response of the modes of a body with these losses.
+
+        The response is an array of shape (n, ports, ports).
 
         Parameters
         ----------
@@ -93,7 +95,7 @@ class ComplexConstants:
         elastic = omega > 0
         shares = free[elastic] / omega[elastic, None]
         motional = shares.T @ shares
-        forces = np.where(electrical, chi[:, None], 1.0)  # forces due to a unit load
+        forces = np.where(electrical, chi[:, None], 1.0)  # force per unit input, divided by gain
         answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
         H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
         return np.asarray(
@@ -108,21 +110,22 @@ def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
 
 
 def make_complex_constants_model(model: Resonators, losses: ComplexConstants) -> LinearModel:
-    """Return the passive model of a body's modes with the losses of complex constants.
+    """Return a passive model of the modes of a body with complex material constants.
 
     Parameters
     ----------
     model : Resonators
-        Modes with inertia, and a certificate. The losses are constant in the band of the
-        certificate, and replace the damping of the modes.
+        Modal model without massless modes, with a certificate. The loss factors are constant in the
+        band of the certificate, and replace the damping of the modes.
     losses : ComplexConstants
         Loss factor and loss tangent.
 
     Returns
     -------
     LinearModel
-        Symmetric model, whose additional unknowns are inner displacements of the relaxations. The
-        certificate includes the error of the relaxations at resonances and between resonances.
+        Symmetric model. Its additional unknowns are internal displacements of the relaxations. The
+        error estimate in the certificate includes the error of the relaxations at resonances and
+        between resonances.
 
     Raises
     ------
@@ -212,10 +215,10 @@ def _largest_error(
     electrical: np.ndarray,
     band: tuple[float, float],
 ) -> float:
-    """Return the largest relative difference of the model to the exact response in the band.
+    """Return the largest relative error of the model's response in the band.
 
-    The difference is divided by the size of the entry, but at least by :data:`PEAK_SHARE` of the
-    entry's peak.
+    The error of an entry is divided by the magnitude of the entry, but at least by
+    :data:`PEAK_SHARE` times the entry's peak.
     """
     low, high = max(band[0], 1e-4 * band[1]), band[1]
     resonances = modes.omega / (2 * np.pi)
@@ -236,7 +239,7 @@ def _largest_error(
 def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Return frequencies around the local minima of every entry of ``size`` (n, ports, ports).
 
-    Relative errors are largest at these antiresonances.
+    The minima are antiresonances, at which relative errors are largest.
     """
     curves = size.reshape(len(f), -1)
     inner = (curves[1:-1] <= curves[:-2]) & (curves[1:-1] <= curves[2:])

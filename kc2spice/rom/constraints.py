@@ -5,8 +5,8 @@ Models of finite-element programs describe rigid couplings by Lagrange multiplie
     M x'' + E x' + K x + G' l = B u        G x = 0
 
 The constraints ``G x = 0`` permit the motions ``x = Z q`` with ``G Z = 0``. The model ``Z'MZ q'' +
-Z'EZ q' + Z'KZ q = Z'B u`` has the same response, symmetry and definiteness. The first equation
-gives the multipliers.
+Z'EZ q' + Z'KZ q = Z'B u`` has the same response, symmetry and definiteness. The multipliers follow
+from the first equation.
 
 A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. In a basis that
 separates E into a regular part and zeros, some equations are algebraic. Algebraic equations that
@@ -39,13 +39,14 @@ from kc2spice.rom.pencil import (
     to_dense,
 )
 
-DEPENDENT_CONSTRAINT = 1e-12  # size of a dependent constraint, relative to the largest constraint
+# largest size of a linearly dependent constraint, relative to the largest constraint
+DEPENDENT_CONSTRAINT = 1e-12
 # Singular values below this multiple of eps times the norm of the matrix count as zero. The
 # multiple is large, because E of many models is a product of matrices.
 ZERO_SINGULAR_VALUE = 100.0
 MAX_DESCRIPTOR_STATES = 2000  # largest number of states of a model whose infinite poles are removed
 MAX_CONSTRAINT_ENTRIES = 5e7  # largest number of entries of the constraints as a dense matrix
-NEGLIGIBLE_TERM = 1e-10  # largest relative rounding error of a zero term
+NEGLIGIBLE_TERM = 1e-10  # largest relative size of a term that counts as zero
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:
@@ -67,7 +68,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     Z, rank = compute_null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # multipliers act on unknowns that their equations do not constrain
+        return pencil  # forces of the multipliers act on motions that the constraints permit
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
@@ -81,7 +82,10 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 
 
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
-    """Find multipliers: unknowns that have no inertia, damping and stiffness between each other."""
+    """Return a mask of the unknowns that are Lagrange multipliers.
+
+    Multipliers have neither inertia nor damping, and no stiffness between each other.
+    """
     result = ~mask_unknowns_with_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
@@ -93,7 +97,8 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
 def compute_null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     """Compute a sparse basis Z (n, n - rank) with ``G Z = 0``, and the rank of G.
 
-    Most rows of Z are rows of the identity; the other rows express the remaining unknowns by them.
+    Most rows of Z are rows of the identity matrix. The other rows express the dependent unknowns by
+    the independent unknowns.
 
     Examples
     --------
@@ -197,10 +202,10 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
 def _eliminate_index_two(
     E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
 ) -> Pencil | None:
-    """Eliminate the constraints that follow after the first n equations.
+    """Eliminate the constraints of an index-2 model, which are all equations after the first n.
 
-    The result is None if the index is higher than two, or if the response contains derivatives of
-    the input.
+    Return None if the index is higher than two, or if the response contains derivatives of the
+    input.
     """
     L, G, B3, C3 = P[:n, n:], P[n:, :n], B[n:], C[:, n:]
     P, B, C = P[:n, :n], B[:n], C[:, :n]
@@ -269,7 +274,7 @@ def _split_by_rank(
 
 
 def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
-    """Restore the symmetry of the original model, which products have lost by rounding errors."""
+    """Restore the symmetry that the matrices have lost by rounding errors of matrix products."""
     parts = pencil.coefficients
     if symmetric:
         parts = tuple(0.5 * (P + P.T) for P in parts)
@@ -297,8 +302,8 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
 def eliminate_algebraic_unknowns(pencil: Pencil) -> Pencil:
     """Eliminate the algebraic unknowns of a model, as the first step of a reduction.
 
-    The result is an equivalent model without constraints, infinite poles, and unknowns that have
-    neither inertia nor damping.
+    Return an equivalent model without constraints and without infinite poles. Unknowns that have
+    neither inertia nor damping are eliminated too.
     """
     try:
         pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))

@@ -19,14 +19,15 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def expects_cholesky(pencil: Pencil) -> bool:
     """Return whether one factorisation without pivoting is enough for a reduction.
 
-    This is so for models of definite form if K is definite, which is not checked here.
+    It is enough for models of definite form whose K is positive definite. This function does not
+    check that K is positive definite.
     """
     K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
     return form and not (isinstance(K, Schur) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether K of a model with definite form is positive definite."""
+    """Return whether a model has definite form and a positive definite stiffness matrix K."""
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
@@ -49,8 +50,8 @@ def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # The rounding errors of the factor may exceed those of the entries. Only the entries of K
-    # define a soft support, so the energy is computed from the entries.
+    # The rounding errors of the factor may exceed the rounding errors of the entries of K. Only the
+    # entries of K define a soft support, so the energy is computed from the entries.
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(estimate_energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

@@ -1,14 +1,14 @@
 """Fit of parallel circuit elements, in series with leads, to measured admittances.
 
-The admittances ``Y_k`` of elements in parallel and the impedances ``Z_l`` of leads have the total
-admittance
+Elements in parallel with admittances ``Y_k``, in series with leads of impedances ``Z_l``, have the
+total admittance
 
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
 :class:`Samples` contains measured frequencies and admittances. Its methods compute the deviation of
-a sum of elements (:class:`FitElement`) from the samples, and fit the amplitudes or all parameters
-of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
+a sum of elements (:class:`FitElement`) from the samples. They also fit the amplitudes or all
+parameters of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms deviation of instruments
 ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the effect of rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
 DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
-TRIAL_EVALUATIONS = 40  # number of evaluations for each candidate sum of elements
-CONVERGENCE_TOLERANCE = 1e-12  # relative change of the sum of squares and of the parameters
+TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
+# relative change of the sum of squares and of the parameters below which a fit has converged
+CONVERGENCE_TOLERANCE = 1e-12
 # largest logarithm of a parameter: larger than for any real part, and within the range of floats
 MAX_LOG_PARAMETER = 150.0
-DC_WEIGHT = 1e4  # weight of a prescribed dc resistance, as a number of samples
+DC_WEIGHT = 1e4  # weight of a prescribed dc conductance, relative to the weight of all samples
 # smallest ratio B/G at the lowest frequencies of a part that blocks direct current
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
 LOWEST_SAMPLES = 5  # number of samples at the lowest frequencies whose mean phase is used
@@ -107,7 +108,7 @@ class FitElement:
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the admittance of the element, or impedance of a lead, and its derivatives."""
+        """Return the admittance of the element and its derivatives; for a lead, the impedance."""
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
@@ -117,12 +118,12 @@ class FitElement:
 
     @property
     def in_parallel(self) -> bool:
-        """Whether the element is in parallel with others, so that it is not a lead."""
+        """Whether the element is one of the admittances in parallel, not a lead."""
         return self.form in PARALLEL_FORMS
 
     @property
     def amplitude(self) -> float:
-        """First parameter of the element."""
+        """Amplitude of the element, which is its first parameter."""
         return float(np.exp(min(self.logs[0], MAX_LOG_PARAMETER)))
 
     @property
@@ -131,7 +132,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Return the element as R, L and C in series, None for a capacitance."""
+        """Return the element, which is not a capacitance, as R, L and C in series."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])
@@ -152,7 +153,7 @@ Elements = tuple[FitElement, ...]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and a ``conductance`` [S].
+    """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and the dc conductance [S].
 
     ``conductance`` is the conductance at zero frequency, or None if the user does not state it.
     """
@@ -170,8 +171,9 @@ class Samples:
     def conducts_direct_current(self) -> bool:
         """Whether direct current flows through the part.
 
-        The user may state this. Otherwise, direct current flows if the mean phase at the lowest
-        frequencies differs from the phase of a capacitor.
+        If the user states the conductance at zero frequency, it determines this. Otherwise, direct
+        current flows if the mean phase at the lowest frequencies differs from the phase of a
+        capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0
@@ -182,7 +184,7 @@ class Samples:
     def tolerance(self) -> np.ndarray:
         """Relative deviation (n,) below which no further element is added.
 
-        The tolerance is :data:`INSTRUMENT_DEVIATION`, plus the effect of frequencies that are
+        The tolerance combines :data:`INSTRUMENT_DEVIATION` and the effect of frequencies that are
         rounded in the file.
         """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
@@ -240,13 +242,14 @@ class Samples:
         return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
 
     def rms(self, elements: Elements) -> float:
-        """Compute the rms value of the logarithmic deviation."""
+        """Compute the rms logarithmic deviation of a sum of elements from the samples."""
         return float(np.sqrt(np.mean(np.abs(self.misfit(elements)) ** 2)))
 
     def criterion(self, elements: Elements) -> float:
         """Compute the Bayesian information criterion of a fit.
 
-        The noise is the noise of the samples, plus :data:`DEVIATION_FLOOR`.
+        Deviations from the samples that are below :data:`DEVIATION_FLOOR` hardly change the
+        criterion.
         """
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
@@ -258,8 +261,8 @@ class Samples:
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
         """Convert complex numbers (n,) to real rows, and append the residual ``dc``.
 
-        ``dc`` is the residual of the conductance at zero frequency. It is omitted if the
-        conductance has no value or no weight.
+        ``dc`` is the residual of the conductance at zero frequency. This residual is omitted if the
+        user states no conductance, or a conductance of zero.
         """
         if not self._dc_weight or self.conductance is None:
             return np.concatenate([x.real, x.imag])
@@ -291,7 +294,10 @@ class Samples:
         return ((*positive, *leads) if positive else ()), float(left)
 
     def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
-        """Fit all parameters by nonlinear least squares with at most ``evaluations``."""
+        """Fit all parameters of the elements by nonlinear least squares.
+
+        The residuals are evaluated at most ``evaluations`` times.
+        """
         if not elements:
             return elements
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
@@ -360,7 +366,7 @@ def estimate_frequency_rounding(f: np.ndarray) -> float:
 
 
 def sum_lead_resistance(elements: Elements) -> float:
-    """Return the resistance [Ohm] of the leads among ``elements``."""
+    """Return the total resistance [Ohm] of the leads among ``elements``."""
     return sum(e.amplitude for e in elements if e.form == "lead resistance")
 
 
@@ -371,7 +377,7 @@ def conductance(elements: Elements) -> float:
 
 
 def _conductance_slope(elements: Elements, element: FitElement) -> float:
-    """Return the derivative of the conductance with respect to the logarithm of an amplitude."""
+    """Return the derivative of the dc conductance with respect to an element's log amplitude."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * sum_lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)

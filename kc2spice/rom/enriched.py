@@ -4,7 +4,7 @@ The error in a certificate is the largest error at any frequency. If a sharp res
 a thousandth of its frequency, this error is 100 %, even if the loads of a run do not excite the
 resonance. Therefore, this module compares the responses of both models to the recorded loads over
 time. The responses are exact for loads that are linear between the recorded points. The model with
-more states also contains motions above the band, which a contact excites.
+more states also contains the modes above the band that a contact excites.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_krylov_space
 # differs by 1.9, 1.7 and 1.7 % (rms) from the stroke with 60, 120 and 300 states.
 STATE_RATIO = 2
 MIN_ADDED_STATES = 60
-# end of the band, relative to the requested end, for models that need expansion points at other
-# frequencies than zero
+# ratio of the upper band limits of the comparison model and of the request, for models that need
+# expansion points at frequencies above zero
 BAND_RATIO = 2.0
 TARGET_ERROR = 1e-6  # requested error of the comparison model over the wider band
 MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wider band
@@ -40,7 +40,8 @@ MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wide
 MAX_STORED_VALUES = 4_000_000
 # condition number of the eigenvectors above which sums of modes lose significant digits
 MAX_CONDITION = 1e8
-CONSTANT_VARIATION = 1e-9  # variation of a constant load or response, relative to the largest value
+# largest variation of a load or response that counts as constant, relative to its largest value
+CONSTANT_VARIATION = 1e-9
 
 
 class ReductionsByOrder:
@@ -63,16 +64,16 @@ class ReductionsByOrder:
         return make_krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Return the reduced model of an order, whose highest modes are massless for contacts."""
+        """Return the reduced model of the given order, with massless highest modes for contacts."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 
     def enriched(self, order: int, band: tuple[float, float]) -> LinearModel:
-        """Reduce to many more than ``order`` states, without a certificate.
+        """Return a reduced model with many more than ``order`` states, without a certificate.
 
         Raises
         ------
-        SimulationError, UsageError : no more accurate model with more states can be computed.
+        SimulationError, UsageError : such a model cannot be computed with sufficient accuracy.
         """
         pencil, ports = self._pencil, self.model.ports
         states = max(STATE_RATIO * order, order + MIN_ADDED_STATES)
@@ -87,11 +88,11 @@ class ReductionsByOrder:
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
-    """Compute outputs (n, outputs) over times ``t`` (n,) for a ``load`` (n, inputs).
+    """Compute the outputs of a model at the times ``t`` (n,) under a ``load`` (n, inputs).
 
-    The load is linear between the times, and the model is in equilibrium with ``load[0]`` at first.
-    The result is None if the response is no sum of modes: the model is free to move, or its
-    eigenvectors are defective.
+    Return an array of shape (n, outputs). The load is linear between the times. At the first time,
+    the model is in equilibrium with ``load[0]``. Return None if the response is not a sum of modes
+    because the model has rigid-body modes or its eigenvectors are nearly dependent.
     """
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
@@ -131,7 +132,7 @@ def _select_modes(modal: Resonators, rows: slice) -> Resonators:
 
 
 def find_last_change(load: np.ndarray) -> int:
-    """Find the last time point at which an input of ``load`` (n, inputs) changes."""
+    """Return the index of the last time point at which an input of ``load`` (n, inputs) changes."""
     step = np.abs(np.diff(load, axis=0)) > CONSTANT_VARIATION * np.abs(load).max(axis=0)
     changes = np.flatnonzero(step.any(axis=1))
     return int(changes[-1]) + 1 if changes.size else 0
@@ -144,13 +145,14 @@ def compute_time_errors(
     load: np.ndarray,
     groups: Sequence[np.ndarray],
 ) -> Mapping[str, float] | None:
-    """Compute the rms differences (outputs,) of the responses of two models to a ``load``.
+    """Compute the relative rms errors of the responses of ``small``, keyed by output.
 
-    The load is (n, inputs). Each difference is divided by the largest rms change of its output.
-    These changes are computed for the loads of each of the ``groups`` (masks of inputs), for the
-    direct term D, and for all loads together. Therefore, loads whose effects cancel count
-    separately, such as the voltage across an open electrode. The result is None if the response of
-    a model cannot be computed.
+    The error is the difference to the responses of ``rich``, a model with more states. Both models
+    respond to the ``load`` (n, inputs) at the times ``t`` (n,). Each difference is divided by the
+    largest rms change of its output. These changes are computed for the loads of each of the
+    ``groups`` (masks of inputs), for the direct term D, and for all loads together. Therefore,
+    loads whose effects cancel count separately, such as the voltage across an open electrode.
+    Return None if the response of a model cannot be computed.
     """
     ours = response(small, t, load)
     alone = [response(rich, t, load * group) for group in groups]

@@ -1,4 +1,4 @@
-"""Scales for the errors of entries of a transfer function, also for entries that are zero.
+"""Scales for relative errors of the entries of a transfer function, including zero entries.
 
 The transfer function of a body with a mirror plane has entries that are zero by symmetry: a force
 along y causes no motion along z. In such an entry, a full and a reduced model contain only rounding
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Smallest reference of the error of an entry, as a share of the entry's peak.
+# Smallest value by which the error of an entry is divided, as a share of the entry's peak.
 PEAK_SHARE = 1e-6
 # An entry counts as zero below this share of the geometric mean of its row and column. Rounding
 # errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
@@ -23,16 +23,16 @@ BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining sca
 
 
 def get_reference_share(norm: str) -> float:
-    """Return the smallest reference of errors of an entry, as a fraction of its peak."""
+    """Return the smallest divisor of the errors of an entry, relative to the entry's peak."""
     return PEAK_SHARE if norm == "pointwise" else 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Entries (outputs, inputs) of a response over a band.
+    """Scales of the entries (outputs, inputs) of a response over a frequency band.
 
-    ``peak`` is the largest size of each entry. For entries in the mask ``zero``, ``peak`` is the
-    geometric mean of the entry's row and column, which is the product of ``rows`` and ``columns``.
+    ``peak`` is the largest magnitude of each entry. For entries in the mask ``zero``, ``peak`` is
+    the geometric mean of the entry's row and column: the product of ``rows`` and ``columns``.
     """
 
     peak: np.ndarray
@@ -58,9 +58,9 @@ class Entries:
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
     def base(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
-        """Return the reference sizes for errors of the response H (..., outputs, inputs).
+        """Return the values by which errors of the response H (..., outputs, inputs) are divided.
 
-        Each reference size is the size of the entry, but at least ``share`` of its peak.
+        Each value is the magnitude of the entry, but at least ``share`` times the entry's peak.
         """
         size = np.abs(H)
         if self.zero.any():
@@ -70,7 +70,7 @@ class Entries:
     def negligible(self, H: np.ndarray) -> np.ndarray:
         """Return a mask of the values of H (..., outputs, inputs) that count as zero.
 
-        They are below ``ZERO_ENTRY`` times the geometric mean of their row and column.
+        Such values are below ``ZERO_ENTRY`` times the geometric mean of their row and column.
         """
         scale = self.rows[:, None] * self.columns
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)
@@ -79,9 +79,10 @@ class Entries:
     def relative_sizes(
         self, difference: np.ndarray, H: np.ndarray, share: float = PEAK_SHARE
     ) -> np.ndarray:
-        """Divide the size of a ``difference`` to the response H by the reference size.
+        """Return the relative magnitude of a ``difference`` from the response H.
 
-        Both arrays are (..., outputs, inputs). The result is zero where the reference size is zero.
+        Both arrays have the shape (..., outputs, inputs). The difference is divided by the values
+        of :meth:`base`. Where such a value is zero, the relative magnitude is zero.
         """
         base = self.base(H, share)
         return np.asarray(
@@ -107,7 +108,7 @@ def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return for each entry the geometric mean of the largest entries of its row and column.
 
-    The result is (..., outputs, inputs).
+    ``size`` and the returned array have the shape (..., outputs, inputs).
     """
     left = size / (rows[:, None] * columns)
     across = left.max(axis=-1, keepdims=True, initial=0.0)

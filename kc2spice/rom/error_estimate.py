@@ -1,7 +1,7 @@
 """Error estimates of reduced-order models, for any method of reduction.
 
-The estimate is the largest relative difference to a more accurate model. Frequencies are added
-where the difference is largest.
+The estimate is the largest relative difference between the responses of the reduced model and of a
+more accurate model. Frequencies are added where this difference is largest.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ REFINED_NOTCHES = 60  # number of deepest minima that each round refines
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
 NOTCH_ROUNDS = 20  # number of rounds that refine notches
 EQUAL_FREQUENCY = 1e-12  # largest relative difference of equal frequencies
-# smallest ratio that indicates a deeper minimum nearby: of a neighbour to a sampled minimum, or of
-# the sampled minimum to its interpolation
+# Smallest ratio that indicates a deeper minimum nearby: a neighbouring sample divided by a sampled
+# minimum, or the sampled minimum divided by the minimum of the interpolation.
 MIN_STEEPNESS = 1.5
 REFINED_PEAKS = 40  # number of largest errors that each round refines
 PEAK_ROUNDS = 3  # number of rounds that refine the largest errors
@@ -50,8 +50,8 @@ def choose_adaptive_frequencies(
 ) -> np.ndarray:
     """Choose frequencies [Hz] at which relative errors are large.
 
-    The frequencies are a grid, and every resonance with frequencies beside it. In the norm
-    *pointwise*, the frequencies include every deep notch of any entry, found by refinement.
+    The frequencies are a grid, all resonances, and frequencies beside each resonance. In the norm
+    *pointwise*, the frequencies also include every deep notch of any entry, found by refinement.
     """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
@@ -86,11 +86,11 @@ def choose_adaptive_frequencies(
 
 
 def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Return the sizes of the minima of ``H`` that may be near a deeper minimum.
+    """Return the magnitudes of the minima of ``H`` that may be near a deeper minimum.
 
-    H has a peak of 1. The result is infinite at all other samples. If a zero is near a minimum, a
-    neighbour is much larger, or the straight line in the complex plane to the neighbour passes much
-    nearer to zero. Minima below the smallest reference of errors are ignored.
+    H is scaled to a peak of 1. At all other samples, the returned array is infinite. If a zero is
+    near a minimum, a neighbouring sample is much larger, or the straight line to this sample in the
+    complex plane passes much nearer to zero. Minima below :data:`PEAK_SHARE` are ignored.
     """
     size = np.abs(H)
     step = np.diff(H, axis=0)
@@ -121,9 +121,9 @@ def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> n
 
 @dataclass(frozen=True)
 class ErrorEstimator:
-    """Estimator of the errors of models over a band by comparison with an ``exact`` model.
+    """Estimator of the errors of reduced models over a band, by comparison with an exact model.
 
-    If ``static`` is true, the exact model has a static response.
+    ``static`` states whether the exact model has a static response.
     """
 
     exact: Response
@@ -144,14 +144,15 @@ class ErrorEstimator:
 
     @property
     def share(self) -> float:
-        """Smallest reference of errors of an entry, as a fraction of the entry's peak."""
+        """Smallest value by which errors of an entry are divided, relative to the entry's peak."""
         return get_reference_share(self.norm)
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
         """Mask of the entries that exceed the rounding errors of their terms.
 
-        The scale of entries that are zero by symmetry is the scale of their row and column.
+        The mask includes entries that are zero by symmetry, whose errors are relative to their row
+        and column.
         """
         return np.asarray(
             ~self.exact.cancelled_entries(2j * np.pi * self.frequency) | self.reference[1].zero
@@ -159,18 +160,19 @@ class ErrorEstimator:
 
     @cached_property
     def failed(self) -> dict[float, np.ndarray]:
-        """Frequencies [Hz] of the largest errors of earlier models, with the exact response.
+        """Exact response, keyed by the frequencies [Hz] of the largest errors of earlier models.
 
-        The list begins with a coarse grid over the band. At the last frequencies of the list, the
-        next inaccurate model probably also has large errors.
+        The first keys are a coarse grid over the band. At the last keys, the next inaccurate model
+        probably also has large errors.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Return the largest relative error (..., frequencies) of any entry.
+        """Return the largest relative error of all entries at each frequency.
 
-        ``difference`` is the difference of a response to the exact response H.
+        ``difference`` is the difference between a response and the exact response H. Both arrays
+        have the shape (..., outputs, inputs), and the returned array has the shape (...).
         """
         base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
         return np.asarray(
@@ -178,13 +180,13 @@ class ErrorEstimator:
         )
 
     def error(self, reduced: Response, limit: float = np.inf) -> float:
-        """Estimate :func:`relative_error` over the band in the ``norm``.
+        """Estimate the largest relative error of a reduced model over the band.
 
         The error is computed at the frequencies ``frequency``, and then around the largest errors.
-        The search ends at the first error above ``limit``.
+        The search ends at the first error above ``limit``. See :func:`relative_error`.
         """
         for last, H in reversed(self.failed.items()):
-            try:  # the transformation to other coordinates pays only for many frequencies
+            try:  # direct solutions: a coordinate transformation saves time only for many points
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.sizes(ours - H, H))
             except SimulationError:
@@ -216,11 +218,11 @@ class ErrorEstimator:
 def estimate_errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Compute the errors ``above`` the band for a :class:`Certificate`.
+    """Compute errors of a reduced model above the band, for a :class:`Certificate`.
 
-    At ``MULTIPLES_ABOVE_BAND`` times the end of the band, each error is the largest relative
-    difference of the driving-point response of any mechanical port. The result is empty without a
-    mechanical port.
+    Return pairs of a frequency [Hz] and an error. The frequencies are ``MULTIPLES_ABOVE_BAND``
+    times the upper band limit. Each error is the largest relative error of the driving-point
+    responses of all mechanical ports. Models without a mechanical port have no pairs.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
@@ -237,11 +239,11 @@ def estimate_errors_above_band(
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     """Return the largest relative error of all entries at all frequencies.
 
-    The error is divided by the size of the entry, but at least by ``PEAK_SHARE`` of its peak.
-    :class:`kc2spice.rom.entries.Entries` describes entries that are zero.
+    The error of an entry is divided by the magnitude of the entry, but at least by ``PEAK_SHARE``
+    times the entry's peak. :class:`kc2spice.rom.entries.Entries` describes entries that are zero.
 
-    Arrays are (frequencies, outputs, inputs). Arrays (frequencies,) or (frequencies, entries)
-    contain entries that are independent of each other.
+    Both arrays have the shape (frequencies, outputs, inputs). Arrays of shape (frequencies,) or
+    (frequencies, entries) contain entries that are independent of each other.
     """
     difference = response - reference
     if reference.ndim == 3:
@@ -254,7 +256,7 @@ def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
 def relative_size(
     difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
 ) -> np.ndarray:
-    """Return relative errors (..., outputs, inputs) for a difference to a reference.
+    """Return relative errors (..., outputs, inputs) for a difference from a reference response.
 
     By default, the scales ``entries`` are computed from the reference. See
     :meth:`kc2spice.rom.entries.Entries.relative_sizes`.

@@ -48,11 +48,13 @@ from kc2spice.rom.stability import is_dissipative
 
 # Largest number of unknowns for which modes are computed with 19 digits, to limit the time.
 MAX_EXTENDED_UNKNOWNS = 500
-# Largest models that serve as their own intermediate model; limits found by trials.
+# Largest sizes of models that serve as their own intermediate model. The sizes were found by
+# trials.
 MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
 MAX_COMPLETE_STATES = 600  # first-order states of other models
 MAX_DENSE_STATES = 2000  # states of models whose many resonances prevent convergence of samples
-MAX_DIRECT_UNKNOWNS = 150  # largest number of unknowns for one linear system per frequency
+# largest number of unknowns of a model whose equations are solved at each frequency separately
+MAX_DIRECT_UNKNOWNS = 150
 
 
 def intermediate_model(
@@ -65,9 +67,9 @@ def intermediate_model(
 ) -> IntermediateModel:
     """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
 
-    If rounding errors of the solutions of the full model exceed ``target``, an error of at most
-    ``limit`` is accepted. If ``deflated``, the rigid-body modes of a free body are separated, so
-    that its model has few states.
+    If solutions of the full model have rounding errors above ``target``, an error of at most
+    ``limit`` is accepted. If ``deflated`` is true, the rigid-body modes of a free body are
+    separated from the other modes. The intermediate model of a free body then has few states.
 
     Raises
     ------
@@ -81,8 +83,8 @@ def intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
-        # If the stored energy is not proven to be positive, a congruence converges only for a model
-        # with well-conditioned modes.
+        # If the stored energy is not proven to be positive, a congruence transformation converges
+        # only for a model with well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return reduce_by_samples(full, band, target, limit)
@@ -94,7 +96,7 @@ def intermediate_model(
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if expects_cholesky(pencil):  # the earlier check of the memory covered only a Cholesky factor
+    if expects_cholesky(pencil):  # an earlier check compared only a Cholesky factor with the memory
         require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
@@ -115,10 +117,11 @@ def intermediate_model(
 def _build_definite_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, deflated: bool
 ) -> IntermediateModel | None:
-    """Build the intermediate model of a definite pencil or of a free body, None for others.
+    """Build the intermediate model of a definite pencil or of a free body.
 
-    For a model with potentials, the search for rigid-body modes takes less time than the
-    factorisation of the stiffness. Therefore, if no factor of K is known, this search comes first.
+    Return None for other models. For a model with electric potentials, the search for rigid-body
+    modes takes less time than the factorisation of the stiffness matrix K. Therefore, if no factor
+    of K is known, this search comes first.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:
@@ -148,11 +151,11 @@ def _use_full_order(
 ) -> IntermediateModel | None:
     """Return a small full-order model as its own intermediate model.
 
-    The result is None if the response of the model takes too long to evaluate.
+    Return None if the evaluation of the response of the model takes too long.
 
     Raises
     ------
-    SimulationError : two solutions of the model differ by more than ``limit``.
+    SimulationError : two direct solutions of the model differ by more than ``limit``.
     """
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
@@ -185,7 +188,7 @@ def _use_full_order(
         rounded = TRIAL_FACTOR * float(size.max())
         if T is not None:
             note = describe_uncertainty(at, size, 2 * limit)
-        # products and solutions have rounding errors
+        # matrix products and solutions of linear equations have rounding errors
         if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
@@ -214,7 +217,7 @@ def _use_full_order(
 def _undamped_modes(full: Pencil) -> np.ndarray | None:
     """Compute the modes (n, n) of a model with symmetric, definite K and M of moderate size.
 
-    The result is None for other models.
+    Return None for other models.
     """
     if full.degree == 1 or full.size > MAX_EXTENDED_UNKNOWNS:
         return None
@@ -229,7 +232,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
-    """Return the largest difference between direct solutions and solutions by modes.
+    """Return the largest relative difference between direct solutions and modal solutions.
 
     The direct solutions are computed in two elimination orders.
     """
