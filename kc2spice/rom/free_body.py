@@ -1,7 +1,7 @@
-"""Rigid-body modes of a large unsupported body, and its elastic part.
+"""Rigid-body modes of a large unsupported body, and the elastic part of its model.
 
-A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite, and a
-real factor of it is computed once. Inverse iteration with this factor gives the rigid-body modes.
+A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is positive definite,
+and it is factorised once. Inverse iteration with this real factor gives the rigid-body modes.
 After the rigid-body modes are deflated, solutions with ``K + sigma M`` replace solutions with K in
 Krylov subspaces near zero frequency.
 """
@@ -21,21 +21,21 @@ from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
-# Shift relative to the square of the end of the band. With a small shift, the Krylov subspace is
-# close to the subspace for a shift of zero, and inverse iteration needs few steps.
+# Shift, relative to the square of the upper band limit [rad/s]. With a small shift, the Krylov
+# subspace is close to the subspace for a shift of zero, and inverse iteration needs few steps.
 SHIFT_RATIO = 1e-6
-# smallest shift, relative to the product of the highest squared frequency and eps
+# smallest shift, relative to the largest ratio K_ii / M_ii times eps
 MIN_SHIFT_ROUNDING = 100.0
-# largest shift, relative to the square of the end of the band
+# largest shift, relative to the square of the upper band limit [rad/s]
 MAX_SHIFT_RATIO = 1e-2
 MAX_STEPS = 12  # largest number of steps of inverse iteration
-# Error of a mode at which the iteration ends. Each step multiplies the error by
-# shift / (shift + first squared frequency).
+# Error of a mode below which inverse iteration ends. Each step multiplies the error by
+# shift / (shift + w^2) with the lowest elastic angular frequency w.
 MODE_TOLERANCE = 1e-14
-# Largest elastic energy of a rigid-body mode, relative to random rounding errors of K. The energy
-# is up to 0.02 for unsupported bodies. It is 1.5 for a chain of 1 400 masses whose support has
-# 3e-14 of the chain's stiffness. Bodies above this limit are reduced by other methods, which retain
-# soft supports.
+# Largest elastic energy of a rigid-body mode, relative to the energy of random rounding errors of
+# K. This ratio is up to 0.02 for unsupported bodies. It is 1.5 for a chain of 1 400 masses whose
+# support has 3e-14 of the chain's stiffness. Bodies above this limit are reduced by other methods,
+# which retain soft supports.
 MAX_RIGID_ENERGY = 1.0
 # First and largest number of vectors of inverse iteration. One body has six rigid-body modes.
 BLOCK_VECTORS = 8
@@ -63,13 +63,13 @@ class FreeBody:
         return np.asarray(x - self.modes @ (self.momenta.T @ x))
 
     def stiffness(self, x: np.ndarray) -> np.ndarray:
-        """Return ``(K + shift M) x``; this matrix defines the inner product of a basis."""
+        """Return ``(K + shift M) x``; Krylov bases are orthonormal in ``K + shift M``."""
         K, _, M = self.pencil.coefficients
         return np.asarray(K @ x + self.shift * (M @ x))
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """First vectors of a basis: rigid-body modes (n, r) orthonormal in ``K + shift M``."""
+        """Rigid-body modes (n, r), orthonormal in ``K + shift M``, with which a basis begins."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(
@@ -78,7 +78,8 @@ class FreeBody:
         """Correct the rigid-body modes of a projected model.
 
         The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are
-        omitted. The second result contains the coordinates of the corrected model as columns.
+        omitted. Return the corrected model, and a matrix whose columns express its unknowns in the
+        unknowns of ``projected``.
         """
         rounding = tuple(self._bound_rounding(forces, V) for forces in self._forces)
         result = split_driven_modes(projected, self.modes.shape[1], rounding)
@@ -86,11 +87,14 @@ class FreeBody:
 
     @cached_property
     def _forces(self) -> tuple[np.ndarray, ...]:
-        """Sums (n, r) of the absolute values of all forces on :attr:`vectors`, for each matrix."""
+        """For each matrix P, the absolute forces ``|P| |V|`` (n, r) of :attr:`vectors` V."""
         return tuple(absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Return bounds (k, k) of the rounding errors in rows and columns of rigid-body modes."""
+        """Return bounds (k, k) of the rounding errors of a projected matrix.
+
+        Only the rows and columns of rigid-body modes have bounds above zero.
+        """
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = (
             ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ forces),
@@ -103,8 +107,8 @@ class FreeBody:
 def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Return the rigid-body modes of a definite model that is free to move.
 
-    ``omega`` [rad/s] is the end of the band. The result is None if the model does not have a
-    definite form, is not free, or has supports as soft as rounding errors.
+    ``omega`` [rad/s] is the upper band limit. Return None if the model does not have a definite
+    form, has no rigid-body modes, or has supports whose stiffness is as small as rounding errors.
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None
@@ -138,9 +142,9 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
     """Find the modes (n, r) without elastic energy by inverse iteration.
 
-    The modes are orthonormal in the mass. ``factor`` is the factor of the shifted elastic
-    stiffness. A mode that changes electric potentials has energy, even without elastic forces. The
-    result has no columns if the first elastic mode is below the shift.
+    The modes are orthonormal in the mass matrix. ``factor`` is the factor of the shifted elastic
+    stiffness. A mode that changes electric potentials has energy, even without elastic forces. If
+    the squared frequency of the lowest elastic mode is below the shift, no mode is returned.
     """
     K, _, M = pencil.coefficients
     rng, count = np.random.default_rng(0), BLOCK_VECTORS
@@ -161,7 +165,7 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
 
 
 def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
-    """Return bounds (k, k) of the elastic energies of motions V that rounding errors of K cause."""
+    """Return bounds (k, k) of the error in ``V'K V`` that rounding errors of K cause."""
     K = pencil.coefficients[0]
     bound = (
         ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))

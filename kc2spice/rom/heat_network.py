@@ -65,12 +65,12 @@ class FosterNetwork(EqualByContent):
         return self.direct + float(self.resistance.sum())
 
     def step_response(self, time: np.ndarray) -> np.ndarray:
-        """Return the temperature rise (m,) [K] at ``time`` (m,) [s] after a step of 1 W at zero."""
+        """Return the temperature rise (m,) [K] at ``time`` (m,) [s] for a step of 1 W at 0 s."""
         rise = step_basis(time, self.time_constant) @ self.resistance
         return np.asarray(self.direct * (time >= 0) + rise)
 
     def linear(self, port: Port) -> LinearModel:
-        """Convert the network to a linear model of the temperatures of its capacities."""
+        """Convert the network to a linear model of the temperature drops across its capacities."""
         return LinearModel(
             E=np.diag(self.time_constant / self.resistance),
             K=np.diag(1 / self.resistance),
@@ -80,7 +80,7 @@ class FosterNetwork(EqualByContent):
         )
 
     def ladder(self) -> HeatLadder:
-        """Convert the network to Cauer's form by its continued fraction."""
+        """Convert the network to Cauer's form by the continued fraction of its impedance."""
         resistance, times = self._merge_equal_times()
         capacities, resistances = list[float](), list[float]()
         with localcontext() as context:
@@ -127,7 +127,10 @@ class HeatLadder(EqualByContent):
 
 
 def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
-    """Return ``1 - exp(-t / t_k)`` (times, modes), and zero for negative times."""
+    """Return the unit step responses ``1 - exp(-t / t_k)``, an array of shape (times, modes).
+
+    At negative times, the step responses are zero.
+    """
     return np.asarray(-np.expm1(-np.maximum(time, 0.0)[:, None] / time_constant))
 
 
@@ -148,7 +151,7 @@ def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
 
 
 def require_form(form: str | None, where: str) -> NetworkForm | None:
-    """Return the form of a network, or None if no form is requested.
+    """Check the name of a network form and return the form; None if no form is requested.
 
     Raises
     ------

@@ -17,9 +17,9 @@ from kc2spice.rom.ranges import ModelOverRanges
 class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
-    ``terms`` are the terms of the reduced matrices. Facts, such as a thermal resistance, are
-    positive functions of the parameters. ``facts`` contains the coefficients of a polynomial for
-    the logarithm of each fact, and ``exponents`` the exponents of this polynomial.
+    ``terms`` are the terms of the reduced matrices E and K. Facts, such as a thermal resistance,
+    are positive functions of the parameters. ``facts`` contains the coefficients of a polynomial
+    for the logarithm of each fact, and ``exponents`` contains the exponents of this polynomial.
     """
 
     terms: MatrixTerms
@@ -29,7 +29,7 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number of temperatures that are states."""
+        """Number of states of the reduced model."""
         return len(self.B)
 
     @property

@@ -7,10 +7,10 @@ The matrices of the full models are sums of terms with powers of the parameters 
 
 The dependence on the parameters therefore remains exact, however wide the range is. If no term has
 a negative eigenvalue, the model is passive for all values of the parameters. The basis V contains
-the bases of reduced models at a few values. Values are added where the error is largest, until the
-error is within the tolerance at all samples of the ranges. Then the directions that contribute
-least to the responses are removed. Source: P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
-(2015) 483, sections 3.4 and 4.1 (greedy sampling and a global basis).
+the bases of reduced models at a few parameter values. Parameter values are added where the error is
+largest, until the error is within the tolerance at all samples of the ranges. Then the basis
+vectors that contribute least to the responses are removed. Source: P. Benner, S. Gugercin, K.
+Willcox, SIAM Review 57 (2015) 483, sections 3.4 and 4.1 (greedy sampling and a global basis).
 """
 
 from __future__ import annotations
@@ -55,21 +55,23 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced model at each value of the parameters
-BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
+BASIS_SHARE = 0.2  # share of the tolerance for the basis before basis vectors are removed
 FINAL_SHARE = 0.6  # share of the tolerance for the final model at the samples
-SAFETY = 1.5  # factor on the error at the samples, for values between the samples
+SAFETY = 1.5  # ratio of the error estimate over the ranges to the largest error at the samples
 SAMPLES = 8  # number of random samples per parameter, in addition to the corners of the ranges
-CHECKS = 4  # number of full models that only test the result, in addition to one at a corner
+CHECKS = 4  # number of full models that only test the reduced model, besides one at a corner
 ROUNDS = 4  # largest number of rounds in which test values with large errors become samples
 MOST_VALUES = 40  # largest number of parameter values whose reduced models are in the basis
-DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest direction
+DEPENDENT = 1e-12  # largest size of a linearly dependent direction, relative to the largest one
 # largest negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
 CLIPPED = 1e-6
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
 
 
 class HeatReduction:
-    """Reductions of heat models over the same ranges, which share the terms of the matrices.
+    """Reductions of heat models over the same ranges of parameters.
+
+    All reductions use the same terms of the full matrices.
 
     ``prescribed`` are the names of ports with prescribed temperatures, such as isothermal faces.
 
@@ -88,12 +90,13 @@ class HeatReduction:
         self._prescribed = [name for name in names_of(self._frame.ports) if name in prescribed]
 
     def reduce(self, task: RangeTask) -> HeatOverRanges:
-        """Reduce the models over the ranges of the axes.
+        """Reduce the heat models over the parameter ranges of the task.
 
-        The certificate is valid for all values in the ranges. Its error is the largest relative
-        difference to reference models, in the norm of the task, times :data:`SAFETY`. The reference
-        models are accurate reduced models at the samples of the ranges. In addition, full models
-        are compared at :data:`CHECKS` values and a corner that the reduction did not use.
+        The certificate is valid for all values in the ranges. Its error estimate is the largest
+        relative difference to reference models, in the norm of the task, times :data:`SAFETY`. The
+        reference models are accurate reduced models at the samples of the ranges. In addition, the
+        reduced model is compared with full models at :data:`CHECKS` parameter values and at a
+        corner of the ranges. The reduction does not use these values.
 
         Raises
         ------
@@ -116,7 +119,7 @@ class HeatReduction:
     def _reduce(
         self, task: RangeTask, *, flows: bool
     ) -> tuple[HeatOverRanges, Sequence[_Reference]]:
-        """Return the reduced model, and the samples of the ranges.
+        """Return the reduced model, and the reference responses at the samples of the ranges.
 
         If ``flows`` is true, heat flows into ports of prescribed temperature are also compared.
         """
@@ -133,7 +136,7 @@ class HeatReduction:
         checks = scipy.stats.qmc.Sobol(len(axes), seed=11)
         basis = _Basis(ranges, [np.zeros(len(axes)), *corners])
         for _ in range(ROUNDS):
-            result, inner = _find_smallest(basis, samples, FINAL_SHARE * tolerance / SAFETY)
+            result, inner = _find_smallest_model(basis, samples, FINAL_SHARE * tolerance / SAFETY)
             draws = checks.random(CHECKS) * 2 - 1
             fresh = []
             for x in (*draws, np.sign(draws[0])):
@@ -148,7 +151,7 @@ class HeatReduction:
         raise make_range_error(problem, self._frame.name, got, tolerance)
 
     def _finish(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
-        """Return the model with its certificate, and with facts that full models give."""
+        """Return the model with its certificate, and with facts that full models determine."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
         middle = result.at(ranges.values(np.zeros(len(axes))))
@@ -191,7 +194,7 @@ class _Ranges:
         )
 
     def reference(self, model: LinearModel, values: Values) -> _Reference:
-        """Return the reference with which a reduced model is compared at these values."""
+        """Return the reference responses at ``values`` of the parameters."""
         parts, task = split_prescribed(model, self.prescribed), self.task
         inner, flows = select_live_ports(parts.inner), None
         if self.prescribed:
@@ -221,7 +224,10 @@ class _Reference:
     uncertainty: float
 
     def error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
-        """Return the largest relative error of a reduced model, over frequency and when static."""
+        """Return the largest relative error of a reduced model over the band and at zero frequency.
+
+        A search over frequency ends at the first error above ``limit``.
+        """
         ours = split_prescribed(reduced.at(self.values), self.ranges.prescribed)
         response = Response(ours.inner.select(self.live).pencil.dense())
         still = self._static_error(ours)
@@ -316,17 +322,17 @@ class _Basis:
         self.columns.append(change / np.where(size > 0, size, 1.0))
 
     def _norms(self, columns: np.ndarray) -> np.ndarray:
-        """Return the energy norms of columns."""
+        """Return the energy norm ``sqrt(x'K x)`` of each column x."""
         squares = np.einsum("ij,ij->j", columns, self.conductance @ columns)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def orthonormal(self) -> np.ndarray:
-        """Return the directions W (others, directions) with ``W'K W = 1``, largest first.
+        """Return basis vectors W (others, directions) with ``W'K W = 1``, most important first.
 
-        Dependent columns are removed first. For this, columns are orthogonalised in the product of
-        the diagonal of ``G = E + K / s``, where s is the highest rate of single unknowns. The
-        product with K would be inaccurate for slow modes, because ``x'K x`` is a difference of far
-        larger numbers.
+        Linearly dependent columns are removed before. For this purpose, the columns are
+        orthogonalised in the inner product of the diagonal of ``G = E + K / s``, where s is the
+        largest ratio ``K_ii / E_ii``. The inner product of K would be inaccurate for slow modes,
+        because ``x'K x`` is a difference of far larger numbers.
         """
         X = np.hstack(self.columns)
         scaled = self.content[:, None] * X
@@ -342,7 +348,7 @@ class _Basis:
         return np.asarray(Q @ U)
 
     def model(self, W: np.ndarray) -> HeatOverRanges:
-        """Return the reduced model with the directions ``W`` (others, directions)."""
+        """Return the reduced model with the basis vectors ``W`` (others, directions)."""
         middle, ranges = self.middle, self.ranges
         n = len(middle.at)
         V = np.zeros((ranges.frame.order, n + W.shape[1]))
@@ -378,14 +384,14 @@ def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 * (result + result.T))
 
 
-def _find_smallest(
+def _find_smallest_model(
     basis: _Basis, samples: Sequence[_Reference], limit: float
 ) -> tuple[HeatOverRanges, float]:
     """Return the smallest model whose error is within the limit at all samples, and its error.
 
     Raises
     ------
-    SimulationError : the error exceeds the limit even with all directions of the basis.
+    SimulationError : the error exceeds the limit even with all vectors of the basis.
     """
     while True:
         W = basis.orthonormal()

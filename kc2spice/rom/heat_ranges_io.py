@@ -16,9 +16,10 @@ ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
 
 def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) -> list[str]:
-    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate.
+    """Write a heat model over ranges to ``name.npz``, and its description to ``name.json``.
 
-    Returns the file names, the ``.npz`` file first.
+    The description contains ports, parameters and certificate. Return the file names, the ``.npz``
+    file first.
     """
     terms = model.terms
     arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
@@ -35,13 +36,15 @@ def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
     """
     path = Path(path)
     try:
-        return _build(*read_arrays(path, ARRAY_NAMES), path.stem)
+        return _build_model(*read_arrays(path, ARRAY_NAMES), path.stem)
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
         raise make_damage_error(path, error) from None
 
 
-def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> HeatOverRanges:
-    """Check the arrays and the record of a file, and make the model from them."""
+def _build_model(
+    arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
+) -> HeatOverRanges:
+    """Check the arrays and the record of a file, and build the model that they describe."""
     common = parse_ranges(record)
     ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]

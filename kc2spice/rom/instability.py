@@ -3,14 +3,14 @@
 The computation of all poles of a large model would take too long, but one growing pole proves that
 the model is unstable.
 
-* A symmetric model of definite mass is unstable if a motion x has negative energy ``x'Kx``. Then
-  ``s^2 M + s E + K`` is indefinite at s = 0 and definite for large real s. The matrix is therefore
-  singular at some s > 0, which is a growing pole.
+* A symmetric model with positive definite mass is unstable if a motion x has negative energy
+  ``x'Kx``. Then ``s^2 M + s E + K`` is indefinite at s = 0, and positive definite for large real s.
+  The matrix is therefore singular at some s > 0, which is a growing pole.
 * For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
-  growing poles to the outside of the unit circle. The largest eigenvalues of this operator need one
-  real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). Two
-  values of c are tried: the end of the band, and the median rate of single unknowns, which is
-  computed from the diagonals of the matrices.
+  growing poles to the outside of the unit circle. The computation of the largest eigenvalues of
+  this operator needs one real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue
+  Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the end of the band, and
+  a median rate, which is computed from the diagonals of the matrices.
 
 The test does not find poles whose growth rate is below about a hundredth of their magnitude.
 """
@@ -30,8 +30,8 @@ from kc2spice.rom.stability import is_dissipative, is_semidefinite
 POLE_COUNT = 4
 KRYLOV_VECTORS = 40
 MAX_RESTARTS = 12
-LANCZOS_RESTARTS = 6  # restarts of the Lanczos method, of twenty vectors each
-MODE_ERROR = 1e-2  # relative error of the softest mode
+LANCZOS_RESTARTS = 6  # number of restarts of the Lanczos method, with twenty vectors each
+MODE_ERROR = 1e-2  # largest relative error of the eigenvalue of the softest mode
 # largest energy that counts as zero, as a multiple of the rounding error of the energy
 ZERO_ENERGY_FACTOR = 1e3
 MIN_GROWTH = 1e-4  # smallest real part of a growing pole, relative to its magnitude
@@ -39,7 +39,7 @@ MAX_RESIDUAL = 1e-6  # largest residual of a pole, relative to the terms of its 
 
 
 def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """Return the proof that a model is unstable for an error message, None without a proof.
+    """Return a proof that a model is unstable, for error messages; None if there is no proof.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
         if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
-            return None  # with definite K, no other pole grows
+            return None  # K is positive semi-definite, so no pole grows
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     if is_dissipative(pencil):
         return None
@@ -101,9 +101,10 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """Find the vector x with the largest ``x'Px`` for a symmetric matrix P with scaled rows.
+    """Find the vector x with the largest ``x'Px`` for a symmetric matrix P.
 
-    The result is None if the Lanczos method does not converge.
+    The length of x is measured with the row sums of ``|P|`` as weights. Return None if the Lanczos
+    method does not converge.
     """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():
@@ -131,7 +132,7 @@ def _typical_rate(pencil: Pencil) -> float:
 def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     """Find growing poles [1/s] by the Cayley transform with c = ``rate``.
 
-    The residuals of the eigenpairs prove the poles.
+    A pole is returned only if its eigenvector has a small residual.
     """
     solve = pencil.solver(rate)[0].solve
     n, degree = pencil.size, pencil.degree

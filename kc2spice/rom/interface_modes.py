@@ -37,8 +37,9 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
 from kc2spice.rom.reduce import reduce_model
 
-ATTEMPTS = 6  # number of tolerances of the unknowns that are tried to meet the one of heat flows
-SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of the unknowns, near their rounding errors
+# largest number of temperature tolerances that are tried to meet the tolerance of heat flows
+ATTEMPTS = 6
+SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of the temperatures, near their rounding errors
 REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference model if the order is prescribed
 
 
@@ -59,20 +60,20 @@ def reduce_with_interfaces(
     prescribed : names of the ports with prescribed temperatures.
     parts : the result of :func:`split_prescribed` if it is known.
     flows : whether the basis also represents the heat flows into prescribed ports.
-    measured : whether heat flows into prescribed ports must meet the tolerance, and are included in
-        the error.
+    measured : whether heat flows into prescribed ports must meet the tolerance. If so, the error
+        estimate includes them.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
         :func:`kc2spice.rom.reduce.reduce_model`.
 
     Returns
     -------
     LinearModel
-        Model with the ports of ``model`` in the same order. The certificate contains the error of
-        temperatures and, if ``measured``, of heat flows into prescribed ports.
+        Model with the ports of ``model`` in the same order. The error estimate in the certificate
+        covers temperatures and, if ``measured``, heat flows into prescribed ports.
 
     Raises
     ------
-    UsageError : no congruence reduces the inner model.
+    UsageError : no congruence reduces the model of ``T_e``.
     SimulationError : the tolerance is not met.
     """
     if not prescribed:
@@ -108,7 +109,7 @@ def reduce_with_interfaces(
 def _reduce_driven(
     model: LinearModel, parts: PrescribedTemperatures, aims: Mapping[str, Any]
 ) -> LinearModel:
-    """Reduce the model of ``T_e``; the input ``E_ei`` is omitted if rounding errors require it."""
+    """Reduce the model of ``T_e``; omit the input ``E_ei T_i'`` if the reduction fails with it."""
     try:
         return _reduce_definite(drive_unknowns(model, parts), aims)
     except SimulationError:
@@ -118,7 +119,7 @@ def _reduce_driven(
 def _reduce_parts(
     model: LinearModel, parts: PrescribedTemperatures, small: LinearModel
 ) -> LinearModel:
-    """Reduce a divided model by the basis of the reduced model ``small`` of ``T_e``."""
+    """Reduce the whole heat model with the basis of ``small``, the reduced model of ``T_e``."""
     if small.basis is None:
         raise make_no_congruence_error(model)
     n, at, others = len(parts.at), parts.at, parts.others

@@ -18,7 +18,8 @@ from kc2spice.core.naming import names_of
 from kc2spice.rom.linear_model import LinearModel, Port
 
 DENSE = 1500  # largest number of unknowns of a model whose modes are computed
-ROUNDING = 1e-12  # largest relative sum of a row of K without a thermal path to the ambient
+# largest row sum of a K without a thermal path to the ambient, relative to its largest K_ii
+ROUNDING = 1e-12
 
 
 def keeps_all_heat(K: sparse.csc_array) -> bool:
@@ -34,9 +35,12 @@ class PrescribedTemperatures:
     ----------
     at, others : indices of the unknowns with prescribed temperatures, and of all other unknowns.
     psi : (others, at) static responses of the other unknowns to prescribed temperatures.
-    shares : (sources, at) static temperatures of the ports q for prescribed temperatures of 1 K.
-    conductance : (at, at) [W/K] static heat flows into the ports for temperatures of 1 K.
-    stored : (at, at) [J/K] heat that the static responses to temperatures of 1 K store.
+    shares : (sources, at) static temperatures at the ports with heat flows q, for prescribed
+        temperatures of 1 K.
+    conductance : (at, at) [W/K] static heat flows into the ports for prescribed temperatures of
+        1 K.
+    stored : (at, at) [J/K] heat that the body stores in the static state for prescribed
+        temperatures of 1 K.
     inner : model of x (:mod:`kc2spice.rom.interface_modes`), with the ports q and then T_i'.
     """
 
@@ -84,7 +88,7 @@ def select_live_ports(model: LinearModel) -> LinearModel:
 
 
 def transform_to_modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
-    """Return a heat model in modal coordinates, with a unit matrix K, and the mode shapes."""
+    """Return a heat model in modal coordinates, in which K is the unit matrix, and its modes."""
     K, E = model.pencil.dense().coefficients
     times, shapes = scipy.linalg.eigh(get_symmetric_part(E), get_symmetric_part(K))
     modal = LinearModel(

@@ -26,16 +26,16 @@ class IntermediateModel:
     static : bool
         Whether all motions except rigid-body modes have a static response.
     proof : str
-        Evidence for ``error``, for the certificate.
+        Evidence for ``error`` that the certificate states.
     floor : float
-        Relative change of the response by rounding errors of the entries of the full-order model.
-        No reduced model is more accurate.
+        Relative change of the response that rounding errors of the entries of the full-order model
+        cause. No reduced model is more accurate.
     complete : bool
         Whether this model is the full-order model in other coordinates.
     hidden : float
         Frequency [Hz] below which rounding errors hide the resonance of a support.
     basis : (n, k) array, optional
-        Basis of this model: column k is the unknown k of this model in unknowns of the full one.
+        Column k is the unknown k of this model, expressed in unknowns of the full-order model.
     points : tuple of floats
         Frequencies [Hz] at which the full-order model was factorised to compute the basis.
     """
@@ -62,7 +62,7 @@ class IntermediateModel:
         return self.response.poles if known else None
 
     def estimator(self, band: tuple[float, float], norm: Norm) -> ErrorEstimator:
-        """Return the estimator of errors with respect to this model."""
+        """Return an estimator of the errors of reduced models with respect to this model."""
         return ErrorEstimator(self.response, band, self.static and not self.pencil.free, norm)
 
 

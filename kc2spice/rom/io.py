@@ -1,13 +1,13 @@
 """Files of models: reduced models with certificates, and Matrix Market files.
 
-A reduced model is one ``.npz`` file, or several Matrix Market files. Damaged Matrix Market files of
-other programs cause an error.
+A reduced model is one ``.npz`` file, or several Matrix Market files. If a Matrix Market file of
+another program is damaged, the functions of this module raise an error.
 
-scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5. If both triangles of a
-symmetric matrix are stored, it doubles the entries. A symmetric array that is not square gets
-numbers that the file does not contain. Therefore, this module compares every count with the content
-of the file, and every index with the size of the matrix. Format: Boisvert, Pozo, Remington, NIST IR
-5935 (1996).
+In contrast, scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5. If both triangles
+of a symmetric matrix are stored, ``mmread`` doubles the entries. For a symmetric array that is not
+square, ``mmread`` returns numbers that the file does not contain. Therefore, this module compares
+every count with the content of the file, and every index with the size of the matrix. Format:
+Boisvert, Pozo, Remington, NIST IR 5935 (1996).
 """
 
 from __future__ import annotations
@@ -33,20 +33,21 @@ MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
 _MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # number of numbers per entry
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
-# Fortran exponents, and the separator of comma lists
+# translation of Fortran's exponents D and d to E, and of commas to blanks
 _FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
 
 
 def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
-    """Return the matrix in the content of a file: csc for 'coordinate', dense for 'array'.
+    """Return the matrix that the content of a Matrix Market file describes.
 
-    Before memory is allocated, ``allowed(shape, entries)`` is called. It raises an error if the
-    declared size is too large.
+    The matrix is in CSC format for the layout 'coordinate', and dense for 'array'. Before memory is
+    allocated, ``allowed(shape, entries)`` is called. ``allowed`` raises an error if the declared
+    size is too large.
 
     Raises
     ------
-    ValueError : the content is not a matrix in this format, or the matrix is Hermitian. The reason
-        is, for example: missing or unreadable numbers, too many numbers, or a wrong index.
+    ValueError : the content is not a matrix in this format, or the matrix is Hermitian. For
+        example, numbers are missing or unreadable, or an index is wrong.
     """
     end = data.find(b"\n", 0, 1000)
     banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
@@ -63,7 +64,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     rows, columns = sizes[:2]
     if symmetry != "general" and rows != columns:
         raise ValueError(f"{symmetry}, but {rows} x {columns}")
-    entries = sizes[2] if form == "coordinate" else _read_symmetry(rows, columns, symmetry)
+    entries = sizes[2] if form == "coordinate" else _count_entries(rows, columns, symmetry)
     allowed((rows, columns), entries)
     width = _MARKET_FIELDS[field] + (2 if form == "coordinate" else 0)
     count = width * entries
@@ -82,7 +83,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
 
 
 def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
-    """Return the sizes in the line after the comments, and the position of the first number."""
+    """Return the sizes in the line after the comments, and the position of the next line."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -93,7 +94,8 @@ def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
     raise ValueError("the line with the matrix size is missing")
 
 
-def _read_symmetry(rows: int, columns: int, symmetry: str) -> int:
+def _count_entries(rows: int, columns: int, symmetry: str) -> int:
+    """Return the number of entries that an 'array' file of this size and symmetry contains."""
     if symmetry == "general":
         return rows * columns
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
@@ -127,13 +129,13 @@ def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> M
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """Parse a text of numbers, separated by blanks or commas, in linear time.
+    """Parse numbers that are separated by blanks or commas, in linear time.
 
-    Fortran's ``1.5D+3`` is a number.
+    Numbers may have Fortran's form ``1.5D+3``.
 
     Raises
     ------
-    ValueError : the text contains other things than numbers.
+    ValueError : an item is not a number.
     """
     if not text.strip():
         return np.empty(0)
@@ -146,7 +148,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
 
 
 def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
-    """Convert indices ``values`` that are counted from 1 to integers that are counted from 0.
+    """Convert indices that are counted from 1 to integer indices that are counted from 0.
 
     Raises
     ------
@@ -159,7 +161,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """Return the symmetric matrix with a stored triangle; for ``sign`` -1, the skew matrix."""
+    """Return the whole symmetric matrix of a stored triangle; skew-symmetric for ``sign`` -1."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
@@ -172,10 +174,11 @@ _RECORD_NAME = "record"  # name of the JSON text in an archive
 
 
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
-    """Write ``name.npz``, ``name.M`` ... (Matrix Market, 17 digits) and ``name.json``.
+    """Write a reduced model to ``name.npz``, to Matrix Market files and to ``name.json``.
 
-    ``name.json`` contains ports, certificate and error estimates of the mesh for other programs
-    that read the Matrix Market files. Returns the file names, the ``.npz`` file first.
+    The Matrix Market files ``name.M`` ... contain numbers with 17 digits. ``name.json`` contains
+    ports, certificate and error estimates of the mesh, for other programs that read the Matrix
+    Market files. Return the file names, the ``.npz`` file first.
     """
     letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
@@ -192,7 +195,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
 
 
 def require_rom_file(path: Path) -> None:
-    """Raise an error if there is no file at the path of a reduced model."""
+    """Raise an error if ``path``, which should be a file of a reduced model, is not a file."""
     if not path.is_file():
         raise UsageError(
             "this path is a directory" if path.is_dir() else "this file does not exist",
@@ -205,7 +208,7 @@ def require_rom_file(path: Path) -> None:
 def read_rom(path: Path | str) -> LinearModel:
     """Read a reduced model that :func:`write_rom` wrote.
 
-    The path names the ``.npz`` file, the ``.json`` file, or any matrix file of the model.
+    ``path`` is the path of the ``.npz`` file, the ``.json`` file, or any matrix file of the model.
 
     Raises
     ------
@@ -269,7 +272,10 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
 def write_archive(
     directory: Path, name: str, arrays: Mapping[str, Any], record: Mapping[str, Any]
 ) -> list[str]:
-    """Write ``name.npz``, and its record in ``name.json``; return the names of both files."""
+    """Write arrays and a record to ``name.npz``, and the record alone to ``name.json``.
+
+    Return the names of both files.
+    """
     text = json.dumps(record, indent=2)
     content: dict[str, Any] = {**arrays, _RECORD_NAME: np.array(text)}
     np.savez(directory / f"{name}.npz", **content)
@@ -307,7 +313,10 @@ def make_damage_error(path: Path, error: Exception) -> UsageError:
 
 
 def require_single_line(text: str, longest: int) -> str:
-    """Reject a text with a line break, which would begin a new card in a netlist."""
+    """Reject a string that is too long or contains a line break, otherwise return the string.
+
+    In a netlist, a line break would begin a new card.
+    """
     if not text.isprintable() or len(text) > longest:
         raise ValueError(
             f"a text has a line break, or more than {longest} characters: {text[:40]!r}"
@@ -322,7 +331,7 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     ------
     ValueError : the records do not describe ports, or a name or unit contains a blank.
     """
-    from pydantic import TypeAdapter  # imported here, because runs read no such file
+    from pydantic import TypeAdapter  # imported here, because most commands read no reduced model
 
     ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
     words = chain.from_iterable((p.name, p.across, p.flow, *p.pins) for p in ports)
@@ -353,7 +362,7 @@ def parse_certificate(record: object) -> Certificate:
 
 
 def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
-    from pydantic import TypeAdapter  # imported here, because runs read no such file
+    from pydantic import TypeAdapter  # imported here, because most commands read no reduced model
 
     ports, certificate = parse_ports(record["ports"]), parse_certificate(record["certificate"])
     letters = _matrix_letters("A" in matrices)

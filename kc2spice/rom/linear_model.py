@@ -1,7 +1,7 @@
 """Linear models: matrices with named ports. Full and reduced models have the same class.
 
-A reductor maps one :class:`LinearModel` to a smaller one with a :class:`Certificate`. Circuits are
-built from the state-space matrices of the model, which other libraries can also read.
+A reductor converts a :class:`LinearModel` to a smaller model with a :class:`Certificate`. Circuits
+are built from the state-space matrices of a model. Other libraries can also read these matrices.
 """
 
 from __future__ import annotations
@@ -43,13 +43,15 @@ class Port:
     * *thermal*: heat flow [W] into the body, temperature rise [K];
     * *acoustic*: pressure [Pa] on the body, displaced volume [m^3];
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and the
-      conjugate output (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
+      conjugate output (B = -M r, y = B' x [kg m]). Here r is the unit translation of the body, and
+      coordinates are relative to the frame;
     * *input* and *output*: a signal in any unit, in one direction. An input has no row of C, and an
       output has no column of B.
 
-    ``across`` and ``flow`` are the quantities that 1 V and 1 A on the netlist pin represent; by
-    default, the quantities of the ``domain`` (:mod:`kc2spice.core.domains`). ``pins`` are the names
-    of the netlist pins: by default ``(name,)``, or ``(name, name_ret)`` for an electrical port.
+    ``across`` and ``flow`` are the units of the quantities that 1 V and 1 A on the netlist pin
+    represent. By default, these are the units of the ``domain`` (:mod:`kc2spice.core.domains`).
+    ``pins`` are the names of the netlist pins: by default ``(name,)``, or ``(name, name_ret)`` for
+    an electrical port.
     """
 
     name: str
@@ -119,11 +121,12 @@ class Certificate:
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
     the ``norm`` *pointwise*, each error is divided by the size of the entry at this frequency, but
     at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by the
-    entry's largest size in the band. ``method`` describes the estimator. ``above`` maps frequencies
-    [Hz] beyond the band, which a contact excites, to differences. Each is the largest relative
-    difference of the compliance of a mechanical port to a larger model. ``stable`` applies to the
-    full and the reduced model; None means that there is no proof. If ``passive`` is true, both
-    models are proven passive.
+    entry's largest size in the band. ``method`` describes the estimator. Because a contact also
+    excites frequencies above the band, ``above`` contains pairs of such a frequency [Hz] and an
+    error. This error is the largest relative difference between the compliances of a mechanical
+    port in the reduced model and in a larger model. ``stable`` applies to the full and the reduced
+    model; None means that there is no proof. If ``passive`` is true, both models are proven
+    passive.
     """
 
     band_hz: tuple[float, float]
@@ -136,12 +139,12 @@ class Certificate:
 
     @property
     def proofs(self) -> str:
-        """Proven properties as one text, such as ``"stable, passivity not shown"``."""
+        """Proven properties as one string, such as ``"stable, passivity not shown"``."""
         stability = {True: "stable", False: "UNSTABLE", None: "stability not known"}[self.stable]
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 
     def record(self) -> dict[str, Any]:
-        """Entries of the certificate in ``result.json`` and in the output of ``reduce --json``."""
+        """Return the certificate as ``result.json`` and the output of ``reduce --json`` list it."""
         result = asdict(self) | {"band_hz": list(self.band_hz)}
         del result["above"]
         if self.above:
@@ -177,9 +180,9 @@ class LinearModel:
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
-    requires, None if it is unknown. In a reduced model, the columns of ``basis`` (n, states) are
-    the states in unknowns of the full-order model, for :meth:`reconstruct`; files do not contain
-    them.
+    requires, None if it is unknown. In a reduced model, column k of ``basis`` (n, states) is state
+    k, expressed in the unknowns of the full-order model. :meth:`reconstruct` uses the basis, but
+    files do not contain it.
 
     Raises
     ------
@@ -207,7 +210,7 @@ class LinearModel:
     def __post_init__(self) -> None:
         # the dataclass is frozen, so the constructor cannot assign attributes directly
         put = object.__setattr__
-        _set_structural(self)
+        _set_structural_damping(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
             put(self, "A", negate(_convert_matrix(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
@@ -227,7 +230,7 @@ class LinearModel:
         n = (self.A if first else self.K).shape[0]
         B, C, D = (_convert_matrix(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
         if self.M is not None and self.E is None and self.rayleigh is None:
-            _require_outputs(C, B, n, self.name)
+            _reject_ambiguous_outputs(C, B, n, self.name)
         C = B.T.copy() if C is None else C
         m, p = B.shape[1], C.shape[0]
         D = np.zeros((p, m)) if D is None else D
@@ -260,7 +263,7 @@ class LinearModel:
                     hint=hint,
                 )
         put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
-        _require_heat(self)
+        _reject_mixed_thermal_ports(self)
 
     @property
     def order(self) -> int:
@@ -300,11 +303,11 @@ class LinearModel:
         return self.pencil.symmetric and self.pencil.collocated
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Compute the complex response ``H(j 2 pi f)`` (frequencies, outputs, inputs) in SI units.
+        """Compute the complex frequency response ``H(j 2 pi f)`` in SI units.
 
-        Entries are outputs per input, such as displacement per force and charge per voltage.
-        Multiplied by ``s``, they are velocities and currents. Sparse models need one factorisation
-        for each frequency.
+        Return an array of shape (frequencies, outputs, inputs). Each entry is an output per input,
+        such as displacement per force or charge per voltage. An entry times ``s`` is a velocity or
+        a current per input. Sparse models need one factorisation for each frequency.
 
         Parameters
         ----------
@@ -386,7 +389,7 @@ class LinearModel:
         return np.asarray(np.tensordot(self.basis, states, axes=1))
 
     def poles(self) -> np.ndarray:
-        """Compute all finite poles [1/s], complex.
+        """Compute all finite poles [1/s] of the model as complex numbers.
 
         The computation uses dense matrices and suits models of up to a few thousand unknowns.
         Structural damping is ignored, because no poles represent it exactly.
@@ -506,7 +509,8 @@ def with_potentials(
     becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
     ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and
     ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. Without this elimination, the model with the unknowns ``[u;
-    p]`` is indefinite, and its reduced models can be unstable (paper 2.3, references 47 to 49).
+    p]`` is indefinite, and its reduced models can be unstable (Schütz, Maeter and Bechtold,
+    Actuators 10 (2021) 279, section 2.3 and references 47 to 49).
 
     Parameters
     ----------
@@ -570,12 +574,12 @@ def negate(matrix: Matrix) -> Matrix:
 
 
 _INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
-# largest difference, relative to K, of an imaginary part that counts as eta times K
+# largest difference, relative to K, between eta times K and an imaginary part that is stored as eta
 LOSS_FACTOR_TOLERANCE = 1e-9
 
 
-def _set_structural(model: LinearModel) -> None:
-    """Split a complex K of a model into its real part and its loss, and check the loss."""
+def _set_structural_damping(model: LinearModel) -> None:
+    """Split a complex K of a model into its real part and its loss matrix, and check the loss."""
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
         if model.structural:
@@ -586,9 +590,11 @@ def _set_structural(model: LinearModel) -> None:
     try:
         eta = float(model.loss_factor)
     except (TypeError, ValueError):
-        raise _structural_loss_error(where, repr(model.loss_factor), "the loss factor") from None
+        raise _make_structural_loss_error(
+            where, repr(model.loss_factor), "the loss factor"
+        ) from None
     if not 0 <= eta < np.inf:
-        raise _structural_loss_error(where, f"{eta:g}", "the loss factor")
+        raise _make_structural_loss_error(where, f"{eta:g}", "the loss factor")
     if model.loss is not None:
         loss, eta = _extract_loss(model.K, _convert_matrix(model.loss, "loss", where), where)
         put(model, "loss", loss)
@@ -598,16 +604,16 @@ def _set_structural(model: LinearModel) -> None:
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
-    """Return the imaginary part of a stiffness K, or the loss factor.
+    """Return the loss matrix (the imaginary part) of a stiffness K, and the loss factor.
 
-    If the imaginary part is a multiple of K, it is None and the loss factor is this multiple.
-    Otherwise, the imaginary part has the storage format of K.
+    If the imaginary part is a multiple of K, the loss matrix is None, and the loss factor is this
+    multiple. Otherwise, the loss matrix has the storage format of K, and the loss factor is zero.
     """
     if K is None or K.shape != loss.shape:
-        raise _structural_loss_error(where, "a loss that does not belong to K")
+        raise _make_structural_loss_error(where, "a loss that does not belong to K")
     if isinstance(K, Schur):  # the potentials have no loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
-            raise _structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
+            raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
         return scipy.sparse.csc_array(loss), 0.0
     if isinstance(K, np.ndarray):
         loss = to_dense(loss)
@@ -615,17 +621,17 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
         K, loss = map(scipy.sparse.csc_array, (K, loss))
     scale = largest_entry(K)
     if not scale:
-        raise _structural_loss_error(where, "an imaginary part without a real one")
+        raise _make_structural_loss_error(where, "an imaginary part without a real one")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
     if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR_TOLERANCE * scale:
         return None, eta
     if not is_symmetric(loss) or not is_semidefinite(loss):
-        raise _structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
+        raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
     return loss, 0.0
 
 
-def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
+def _make_structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
     """Make the error for invalid structural damping."""
     return UsageError(
         f"{what} is not a valid structural damping",
@@ -636,7 +642,7 @@ def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> Usag
     )
 
 
-def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
+def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
     """Reject a square C of an undamped second-order model that may be its damping matrix.
 
     Rows of such a C couple several unknowns.
@@ -681,7 +687,7 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
 
 
 def _require_frequencies(frequency: Any) -> np.ndarray:
-    """Return frequencies [Hz] as an array of one dimension."""
+    """Check that frequencies [Hz] are numbers, and return them as an array of one dimension."""
     try:
         result = np.atleast_1d(np.asarray(frequency, dtype=float))
         if result.ndim > 1:
@@ -745,8 +751,8 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
     return ports
 
 
-def _require_heat(model: LinearModel) -> None:
-    """Reject thermal ports together with other ports, or in a second-order model."""
+def _reject_mixed_thermal_ports(model: LinearModel) -> None:
+    """Reject thermal ports that are combined with other ports or with a second-order model."""
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(
@@ -767,9 +773,9 @@ def _describe_entries(data: np.ndarray) -> str:
 
 
 def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
-    """Convert a matrix to real numbers; the result is dense unless ``sparse`` is true.
+    """Convert the entries of a matrix to floats; return None if the matrix is None.
 
-    If the matrix is None, the result is None.
+    If ``sparse`` is false, a sparse matrix becomes a dense array.
     """
     if matrix is None:
         return None

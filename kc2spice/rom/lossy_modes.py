@@ -6,11 +6,12 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
     d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
 
 approximates this dynamic stiffness by a spring, a dashpot, springs in series with dampers, and a
-mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. Its loss increases with
-frequency, so that the response beside the resonance has an error of a quarter of the loss factor
-``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss is constant
-near the resonance. By causality, the stiffness then increases with frequency, which a slightly
-larger mass compensates. Value and slope of the dynamic stiffness are exact with
+mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. The loss of this dashpot
+increases with frequency. Beside the resonance, the response therefore has an error of a quarter of
+the loss factor ``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss
+is constant near the resonance. By causality, the stiffness then increases with frequency. A
+slightly larger mass compensates this increase. At the resonance, the value and the slope of the
+dynamic stiffness are exact with
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
@@ -27,14 +28,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-WEIGHT_UPDATES = 10  # number of updates of the weights
-MIN_WEIGHT_FACTOR = 0.02  # smallest factor of a weight in an update, where the error is small
-MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the largest amplitude
+WEIGHT_UPDATES = 10  # number of updates of Lawson's weights
+MIN_WEIGHT_FACTOR = 0.02  # square of the smallest factor by which an update multiplies a weight
+MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the stiffness ``c_0``
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillator:
-    """Passive oscillator with the dynamic stiffness ``d(s)`` of the module docstring.
+    """Passive oscillator with the dynamic stiffness ``d(s)`` that the module docstring defines.
 
     Attributes
     ----------
@@ -72,9 +73,9 @@ def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 def fit_relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
-    """Fit an oscillator with given rates to a dynamic stiffness.
+    """Fit an oscillator with given relaxation rates to a dynamic stiffness.
 
-    The fit minimises the largest weighted difference.
+    The fit minimises the largest weighted difference between both dynamic stiffnesses.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def fit_relaxing_oscillator(
     weight : (n,) array
         Weight of the difference at each frequency.
     rates : (k,) array
-        Rates ``r_l`` [1/s]; the result omits rates that the fit does not use.
+        Rates ``r_l`` [1/s]; the oscillator omits rates that the fit does not use.
     """
     columns = np.column_stack([np.ones(s.size), s, s**2, s[:, None] / (s[:, None] + rates)])
     scale = np.abs(columns * weight[:, None]).max(axis=0)
@@ -114,7 +115,7 @@ def fit_relaxing_oscillator(
 def assemble_oscillators(
     modes: Sequence[Oscillator], damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble symmetric K, E, M of oscillators, and add a viscous ``damping`` (modes, modes).
+    """Assemble symmetric K, E and M of oscillators; E includes ``damping`` (modes, modes).
 
     Each relaxation is an additional unknown without mass: the displacement between its spring and
     its damper. These unknowns are numbered after the modes.

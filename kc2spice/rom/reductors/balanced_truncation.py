@@ -14,11 +14,12 @@ from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
-# Limits for the computing time, which grows with the cube of the number of states; found by trials.
+# Limits of the computing time, which grows with the cube of the number of states. The limits were
+# found by trials.
 MAX_STATES = 2000  # largest number of first-order states for dense Gramians
 MAX_UNSCALED_STATES = 500  # largest number of first-order states for a second pair of Gramians
 # Smallest decay rate of a pole, relative to the angular frequency at the end of the band. Gramians
-# of slower poles are rounding errors.
+# of models with slower poles contain only rounding errors.
 MIN_DECAY = 1e-9
 SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
 HANKEL_ROUNDING = 1e-13  # largest relative Hankel singular value that is a rounding error
@@ -75,7 +76,7 @@ class BalancedTruncation(Reductor):
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
-        """Return the balanced basis of a task, None without Gramians."""
+        """Return the balanced basis of a task, None if the Gramians do not exist."""
         rows, columns = compute_balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
@@ -86,7 +87,7 @@ class BalancedTruncation(Reductor):
 def compute_hankel_singular_values(task: Task) -> np.ndarray | None:
     """Return the Hankel singular values of the intermediate model in descending order.
 
-    The result is None if the model is not strictly stable or too large.
+    Return None if the model is not strictly stable or too large.
     """
     if not has_gramians(task):
         return None
@@ -98,10 +99,10 @@ def compute_hankel_singular_values(task: Task) -> np.ndarray | None:
 def _gramian_roots(
     model: Pencil, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Compute square roots of both Gramians with scaled outputs and inputs.
+    """Compute square roots of both Gramians of a model with scaled outputs and inputs.
 
-    Outputs and inputs are divided by ``rows`` and ``columns``. The result is None if the model is
-    not strictly stable.
+    Outputs are divided by ``rows``, and inputs by ``columns``. Return None if the model is not
+    strictly stable.
     """
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -MIN_DECAY:
@@ -140,8 +141,8 @@ def balance_model(
 ) -> ReducedBasis | None:
     """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
 
-    The result is None if double precision cannot represent the product of the square roots, such as
-    for a model with poles at 1e21 1/s.
+    Return None if the product of the square roots exceeds the range of double precision. An example
+    is a model with poles at 1e21 1/s.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = observable.T @ controllable
@@ -162,9 +163,10 @@ def balance_model(
 
 
 def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors of rows and columns whose products are closest to ``size``.
+    """Return factors of rows and columns whose products are closest to the entries of ``size``.
 
-    The array ``size`` is (..., rows, columns). The logarithms of products and sizes are compared.
+    ``size`` has the shape (..., rows, columns). The closest products have the smallest sum of
+    squared differences between the logarithms of products and entries.
     """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]
@@ -174,8 +176,8 @@ def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
     """Compute a square root R of the solution ``X = R R'`` of ``T X + X T' = -Q Q'``.
 
-    T is in real Schur form. If ``transposed``, T is replaced by T'. By rounding errors, X may be
-    slightly indefinite.
+    T is in real Schur form. If ``transposed`` is true, T' replaces T. If rounding errors make X
+    slightly indefinite, its negative eigenvalues are set to zero.
     """
     C = -Q @ Q.T
     if transposed:  # in reverse order, T' is again in Schur form
@@ -189,7 +191,8 @@ def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
 
-    LAPACK would solve one column after another. Products of large blocks replace most of this work.
+    LAPACK solves for one column after another. Here, products of large blocks replace most of this
+    work.
     Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.
     """
     rows, columns = C.shape
@@ -208,6 +211,6 @@ def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
 
 
 def _schur_half(T: np.ndarray) -> int:
-    """Return an index near the middle of a Schur form that divides no pair of poles."""
+    """Return an index near the middle of a Schur form that does not divide a 2 x 2 block."""
     k = len(T) // 2
     return k + 1 if T[k, k - 1] else k

@@ -1,4 +1,4 @@
-"""Balanced truncation over a band of frequencies, by samples of the response."""
+"""Balanced truncation over a frequency band, by samples of the states."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class BandLimitedBalancing(Reductor):
     """Balanced truncation with Gramians that are sums over samples in the band.
 
     The Gramians are quadratures of ``x x*`` and ``y y*`` with the states ``x = (j w - A)^-1 B`` and
-    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. With the weights, the
-    integrand is the relative error in the norm of the task: relative to the peak, or to the
-    response at the same frequency.
+    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. Weights make the integrand a
+    relative error in the norm of the task: relative to the peak of the response, or to the response
+    at the same frequency.
 
     Examples
     --------
-    The result is smaller than the model, because one relaxation is far above the band.
+    One relaxation is far above the band, but its static response needs a second state.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -66,18 +66,18 @@ class BandLimitedBalancing(Reductor):
         estimator, response = task.estimator, task.first_order
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
         frequency, (H, entries) = estimator.frequency[::step], estimator.reference
-        inputs, outputs = _weights(frequency, entries.base(H[::step], estimator.share))
+        inputs, outputs = _compute_weights(frequency, entries.base(H[::step], estimator.share))
         s = 1j * frequency / task.band[1]
         controllable = _sum_square_root(response.states(s) * inputs[:, None, :])
         observable = _sum_square_root(response.dual.states(s) * outputs[:, None, :])
         return balance_model(task, response.pencil, controllable, observable)
 
 
-def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights of inputs and outputs at each frequency.
 
-    With these weights, a sum over the frequencies is an integral over the band of errors relative
-    to ``base`` (frequencies, outputs, inputs).
+    With these weights, a sum over the frequencies approximates an integral over the band. The
+    integrand is an error relative to ``base``, an array of shape (frequencies, outputs, inputs).
     """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
     rows, columns = compute_balancing_factors(base)

@@ -1,4 +1,4 @@
-"""Base class of methods of model order reduction."""
+"""Base class of model order reduction methods."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 
 
 class Reductor(ABC):
-    """Method of reduction: a basis whose leading vectors give reduced-order models.
+    """Reduction method: a basis whose leading vectors define reduced-order models.
 
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
     methods. ``congruence`` (by default True) states that the projection is a Galerkin projection,
-    which preserves the form of the matrices. ``no_basis`` is the reason that error messages contain
-    if :meth:`basis` returns None.
+    which preserves the form of the matrices. If :meth:`basis` returns None, error messages contain
+    ``no_basis`` as the reason.
 
     Examples
     --------
     Modal truncation retains the modes of lowest frequency. Three springs of 1 N/m in series have a
-    compliance of 3 m/N at the end, of which the lowest mode represents 2.742 m/N.
+    compliance of 3 m/N at the end. The lowest mode alone has a compliance of 2.742 m/N.
 
     >>> import numpy as np
     >>> import kc2spice as kc

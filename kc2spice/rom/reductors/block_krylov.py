@@ -17,13 +17,14 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Number of blocks beyond the requested order for the error estimate: the change by the second block
-# shows whether the first block was sufficient. Found by trials.
+# Number of blocks beyond the requested order with which the error is estimated: the change by the
+# second block shows whether the first block was sufficient. Found by trials.
 EXTRA_BLOCKS = 2
-# Number of vectors for a tolerance, relative to the number of states of the intermediate model,
-# which may have several expansion points. Found by trials.
+# Number of vectors for a requested tolerance, relative to the number of states of the intermediate
+# model. The intermediate model may have several expansion points. Found by trials.
 VECTORS_PER_STATE = 2
-# Largest share of a candidate's length outside the basis that is a rounding error.
+# If the component of a candidate vector outside of the basis is at most this fraction of its
+# length, the component is a rounding error.
 DEFLATION_LIMIT = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
 
@@ -52,7 +53,10 @@ class BlockKrylov(Reductor):
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
     def obstacle(self, task: Task) -> str:
-        """Return the reason: K is not definite, or damping is neither proportional nor zero."""
+        """Return the reason why the method does not apply to this model, "" if it applies.
+
+        The method needs a positive definite K, and proportional or no damping.
+        """
         if is_definite(pencil := task.pencil, undamped_too=True):
             return ""
         if pencil.degree == 1:
@@ -65,7 +69,7 @@ class BlockKrylov(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return nested Krylov vectors and the full-order model projected on them."""
-        if not task.intermediate.proof:  # with a prescribed order, the subspace exists
+        if not task.intermediate.proof:  # the order is prescribed, and the Krylov basis exists
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = compute_krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
@@ -90,9 +94,9 @@ def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Return the Krylov model with two blocks more than ``order``, for an error estimate.
+    """Return the model of a Krylov basis with two blocks more than ``order``, to estimate errors.
 
-    ``space`` is the Krylov subspace of the model if it is known.
+    ``space`` is the Krylov subspace of the model if this subspace is known.
     """
     count = order + EXTRA_BLOCKS * pencil.B.shape[1]
     V = (space or make_krylov_space(pencil)).vectors(count)
@@ -105,7 +109,7 @@ def compute_block_krylov_basis(
 ) -> np.ndarray:
     """Compute a basis V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
 
-    Here ``X = K^-1 B`` and ``A = K^-1 M``. The basis (n, order) has ``order`` columns; see
+    Here ``X = K^-1 B`` and ``A = K^-1 M``. The basis V has the shape (n, order). See
     :class:`BlockArnoldi`.
     """
     return BlockArnoldi(stiffness, solve, mass, B).vectors(order)
@@ -137,7 +141,7 @@ class BlockArnoldi:
 class OrthonormalBasis:
     """Basis V (n, k) with ``V'KV = 1`` to which blocks are added, and the products ``K V``.
 
-    With the products ``K V``, no product with K is needed for inner products ``V'K x``.
+    Inner products ``V'K x`` use the stored products ``K V`` instead of new products with K.
 
     Examples
     --------
@@ -163,9 +167,9 @@ class OrthonormalBasis:
         return self._images[:, : self._count]
 
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Extend the basis by candidates (n, m), and return the new columns V and ``K V``.
+        """Extend the basis by candidates (n, m), and return the new columns of V and of ``K V``.
 
-        Candidates that depend on earlier vectors are omitted.
+        Candidates that depend linearly on earlier vectors are omitted.
         """
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
         # One product for the whole block takes a fraction of the time of a product for each column.

@@ -30,7 +30,7 @@ class CongruentBalancing(Reductor):
 
     Examples
     --------
-    Two states represent the response at the end of four relaxations in a row within 4 %.
+    Two states represent the response at the end of a chain of four relaxations within 4 %.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -61,11 +61,11 @@ class CongruentBalancing(Reductor):
         return task.share(self.name, lambda: self._balance(task))
 
     def _balance(self, task: Task) -> ReducedBasis | None:
-        """Return the eigenvectors of the Gramian of a task."""
+        """Return the basis of static responses and of eigenvectors of the Gramian of a task."""
         core = task.core
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)
-        except scipy.linalg.LinAlgError:  # unknowns without capacity
+        except scipy.linalg.LinAlgError:  # E is singular: some unknowns have no capacity
             return None
         if rates[0] <= MIN_DECAY * task.band[1]:
             return None
@@ -79,6 +79,7 @@ class CongruentBalancing(Reductor):
         others = np.eye(len(rates)) - static @ static.T
         hankel, U = np.linalg.eigh(others @ gramian @ others)
         count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
-        count = min(count, len(rates) - static.shape[1])  # others are rounding errors
+        # further eigenvectors are rounding errors
+        count = min(count, len(rates) - static.shape[1])
         directions = np.hstack([static, U[:, ::-1][:, :count]])
         return task.project(X @ directions, fixed=static.shape[1])

@@ -31,13 +31,14 @@ from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 # long as they converge. Found by trials.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
-# Usual number of blocks for solids with several modes in the band, for the first estimate of the
-# remaining time.
+# Usual number of blocks for solids with several modes in the band. The first estimate of the
+# remaining time uses this number.
 USUAL_BLOCKS = 14
 # Smallest factor by which a block must change the response less than the block before. Otherwise
 # the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
-MIN_POINT_DISTANCE = 1e-3  # smallest distance of two points, relative to the end of the band
+# smallest distance of two expansion points, relative to the upper band limit
+MIN_POINT_DISTANCE = 1e-3
 
 
 def reduce_definite_model(
@@ -47,10 +48,10 @@ def reduce_definite_model(
     limit: float,
     body: FreeBody | None = None,
 ) -> IntermediateModel:
-    """Return a reduced definite model with an error within ``target`` over ``band`` [Hz].
+    """Return a reduced definite model whose error over ``band`` [Hz] is at most ``target``.
 
-    If rounding errors prevent the error ``target``, the error is within ``limit``. The error is the
-    change of the response by the last two blocks.
+    If rounding errors prevent an error of ``target``, the error is at most ``limit``. The error is
+    estimated as the change of the response by each of the last two blocks.
 
     For a free ``body``, rigid-body modes are deflated, and a small negative shift replaces the
     expansion point zero.
@@ -85,7 +86,7 @@ def reduce_definite_model(
             basis = V @ coordinates
         response = Response(small)
         response.zero = find_zero_entries(pencil, basis, response, band)
-        # notches are last
+        # the frequencies beside resonances include notches, at which the response converges last
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)

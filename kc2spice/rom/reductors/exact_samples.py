@@ -28,7 +28,8 @@ from kc2spice.rom.rounding import describe_uncertainty, estimate_rounding_uncert
 FIRST_SAMPLES = 12  # number of samples before the error is first estimated
 MAX_SAMPLES = 90  # largest number of samples
 CANDIDATE_FREQUENCIES = 151  # number of candidate frequencies for the next sample
-# Candidates for the relative singular value below which directions are noise. The best one is used.
+# Candidates for the relative singular value below which directions are noise. The candidate with
+# the smallest error at the samples is used.
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
@@ -68,9 +69,9 @@ class ExactSamples:
         self._left = np.hstack([self._left, *split_real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
-        """Return the oblique projection that best reproduces the samples.
+        """Return the oblique projection that best reproduces the samples, and its error.
 
-        The second result is the largest error of this projection at the samples.
+        The error is the largest relative error at the samples.
         """
         W, P = self._left, self.pencil
         U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))
@@ -91,7 +92,10 @@ class ExactSamples:
         return best, float(error)
 
     def relative_sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Return sizes relative to ``H``, but at least to a share of the peak of all samples."""
+        """Return the magnitude of ``difference`` relative to ``H``.
+
+        The divisor is the magnitude of ``H``, but at least a share of the peak of all samples.
+        """
         return relative_size(difference, H, Entries.of(self.H))
 
 

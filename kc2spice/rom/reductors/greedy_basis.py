@@ -1,10 +1,10 @@
 """Rational Krylov basis to which one expansion point after another is added.
 
 Points are chosen alternately by two criteria: the largest residual, and the largest change of the
-response by the last point. Random combinations of equations (a sketch) estimate the residual. At
-each point, the solution of the full model first tests the projection. Then the solution and its
-derivative with respect to s are added to the basis. Real and imaginary parts are separate vectors,
-so that all matrices remain real.
+response by the last point. The residual is estimated with random combinations of the equations (a
+sketch). At each point, the solution of the full model first tests the projected model. Then this
+solution and its derivative with respect to s are added to the basis. Real and imaginary parts are
+separate vectors, so that all matrices remain real.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from kc2spice.rom.response import Response, sample_band
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding, split_rigid_body
 from kc2spice.rom.rounding import ENERGY_ROUNDING, find_zero_entries
 
-# Largest residual of K x = B, relative to B, of a supported model. K of an unsupported model is
-# singular.
+# Largest residual of K x = B, relative to B, for which a model counts as supported. The matrix K of
+# an unsupported model is singular.
 SINGULAR_RESIDUAL = 1e-6
 # numbers found by trials
 SKETCH_SIZE = 32  # number of random combinations of equations that represent all residuals
@@ -34,7 +34,7 @@ CANDIDATE_FREQUENCIES = 101
 
 
 class GreedyBasis:
-    """Basis with the projections that the residual estimate needs.
+    """Rational Krylov basis, with the projections that the estimate of residuals needs.
 
     If ``static`` is true, the basis begins with the static responses.
     """
@@ -58,9 +58,10 @@ class GreedyBasis:
         self.static = static and self._add_static()
 
     def check(self, s: complex) -> tuple[float, bool]:
-        """Return the relative error of the projection at ``s``, and add the solution to the basis.
+        """Return the relative error of the projected model at ``s``, and extend the basis.
 
-        The second result is whether the basis has more vectors than before.
+        The solution of the full model at ``s`` is added to the basis. The second result states
+        whether the basis then has more vectors than before.
         """
         x, *others = self.solve(s)
         true = self.pencil.C @ x + self.pencil.D
@@ -76,7 +77,7 @@ class GreedyBasis:
     def next_point(self) -> complex:
         """Choose the next expansion point.
 
-        Alternately, it is the candidate with the largest residual, and the candidate near the
+        The point is alternately the candidate with the largest residual, and the candidate with the
         largest change of the response by the last point.
         """
         points = self._candidates()
@@ -104,7 +105,7 @@ class GreedyBasis:
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
-        """Add the static responses; return False for a free model, which has none."""
+        """Add the static responses to the basis; return False for a free model without them."""
         b = self.pencil.B
         try:
             answers = self.solve(0.0)
@@ -119,7 +120,8 @@ class GreedyBasis:
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
         """Solve for ``x = P(s)^-1 B`` and ``-x'(s)``.
 
-        If outputs differ from inputs, the result also contains ``P(s)^-T C'``.
+        If the model is not symmetric or C differs from B', also return ``y = P(s)^-T C'`` and
+        ``-y'(s)``.
         """
         forward, backward = self.pencil.solver(s)
         self.points += 1
@@ -135,14 +137,14 @@ class GreedyBasis:
         """Add the solutions at ``s`` to the basis."""
         self._used.append(s)
         new = np.column_stack([*chain.from_iterable(map(split_real_parts, answers))])
-        fresh = _independent_directions(self.basis, new)
+        fresh = _find_independent_directions(self.basis, new)
         if not fresh.shape[1]:
             self._previous = self.response
             return
         self.basis = np.hstack([self.basis, fresh])
         for side in self._sides:
             side.extend(fresh)
-        self.turn = _modes(self.pencil.project(self.basis))
+        self.turn = _compute_modes(self.pencil.project(self.basis))
         small = self.projected = self.pencil.project(self.modal_basis)
         small, turn = self._split_rigid_body(small)
         self.turn = self.turn @ turn
@@ -154,9 +156,9 @@ class GreedyBasis:
     def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
         """Separate the rigid-body motion of the projected model.
 
-        A motion is a rigid-body motion if its energy is within rounding errors of the full model's
-        entries. If the model has a static response, no input excites this motion, and it is
-        omitted.
+        A motion is a rigid-body motion if its energy is within the rounding errors of the entries
+        of the full model. If the model has a static response, no input excites this motion, and the
+        motion is omitted.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
@@ -179,7 +181,7 @@ class GreedyBasis:
 
     @property
     def modal_basis(self) -> np.ndarray:
-        """Basis of the same subspace whose columns are the modes of the projected model.
+        """Basis of the same subspace, in which each column is a mode of the projected model.
 
         Projected matrices of thin bodies are small differences of large numbers. A projection on
         modes has fewer such differences, and therefore smaller rounding errors.
@@ -208,21 +210,21 @@ class _Sketch:
         return np.asarray((np.linalg.norm(self._b - product, axis=1) / size).max(axis=1))
 
 
-def _modes(pencil: Pencil) -> np.ndarray:
+def _compute_modes(pencil: Pencil) -> np.ndarray:
     """Return the undamped modes of a small symmetric second-order pencil.
 
-    For other pencils, the result is the unit matrix.
+    For other pencils, return the unit matrix.
     """
     if pencil.degree == 2 and pencil.symmetric:
         K, _, M = pencil.coefficients
         try:
             return np.asarray(scipy.linalg.eigh(K, M)[1])
-        except np.linalg.LinAlgError:  # no definite mass
+        except np.linalg.LinAlgError:  # the mass matrix is not positive definite
             pass
     return np.eye(pencil.size)
 
 
-def _independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _find_independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Compute orthonormal directions of ``new`` outside of the span of ``basis``.
 
     Dependent directions are omitted.

@@ -20,8 +20,8 @@ from kc2spice.rom.response import Response
 
 POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
 MAX_ITERATIONS = 100  # largest number of iterations, found by trials
-# Largest error of the balanced model, relative to the tolerance, for which an order is tried. Found
-# by trials.
+# Largest error of the balanced model of an order, relative to the tolerance, for which the
+# iteration is started. Found by trials.
 MAX_START_ERROR = 10.0
 
 
@@ -29,10 +29,10 @@ class Irka(Reductor):
     """Tangential interpolation at mirror images of the reduced model's poles.
 
     A model of order q with poles ``l_i`` and residues ``c_i b_i'`` gives the projection ``V =
-    [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The projected model gives the next
-    projection, beginning with balanced truncation. The iteration ends when the poles no longer
-    change. The model H_q then meets the first-order conditions for the smallest error in the H2
-    norm::
+    [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The iteration begins with a model of
+    balanced truncation. The poles and residues of each projected model define the next projection.
+    The iteration ends when the poles no longer change. The model H_q then meets the first-order
+    conditions for the smallest error in the H2 norm::
 
         H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
         c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
@@ -62,13 +62,16 @@ class Irka(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: Task) -> str:
-        """Return the reason why the model has no Gramians, which the iteration needs at first."""
+        """Return the reason why the model has no Gramians.
+
+        The iteration starts from balanced truncation, which needs Gramians.
+        """
         return explain_no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the models of all orders, each of which is computed when it is needed.
+        """Return the models of all orders; each model is computed when it is first used.
 
-        The result is None if the model is not strictly stable.
+        Return None if the full model is not strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:
@@ -86,7 +89,7 @@ class OptimalModels(ReducedBasis):
     def leading_model(self, order: int) -> Response:
         """Return the response of the optimal model of this order."""
         if order not in self.responses:
-            self.responses[order] = Response(self._optimal(order))
+            self.responses[order] = Response(self._compute_optimal_model(order))
         return self.responses[order]
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
@@ -108,8 +111,8 @@ class OptimalModels(ReducedBasis):
         """Return None, because the basis is not stored."""
         return None
 
-    def _optimal(self, order: int) -> Pencil:
-        """Iterate the poles of the model of this order, beginning with the balanced model."""
+    def _compute_optimal_model(self, order: int) -> Pencil:
+        """Return the optimal model of this order; the iteration starts from the balanced model."""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.leading_model(order)
@@ -138,14 +141,14 @@ class OptimalModels(ReducedBasis):
 def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the poles (q,) of a model, and the factors of their residues ``c_i b_i'``.
 
-    The factors c are (q, outputs), and the factors b are (q, inputs).
+    The factors c have the shape (q, outputs), and the factors b have the shape (q, inputs).
     """
     poles, X = np.linalg.eig(-pencil.coefficients[0])
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
 
 
 def mirror_poles(poles: np.ndarray) -> np.ndarray:
-    """Return the mirror image of each stable pole; unstable poles remain."""
+    """Return the mirror image ``-l`` of each stable pole l; unstable poles are not mirrored."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 
@@ -161,7 +164,7 @@ def interpolate_response(
 
 
 def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return a real orthonormal basis (n, q) of vectors (q, n, 1) at conjugate shifts."""
+    """Return a real orthonormal basis (n, q) of complex vectors (q, n, 1) at conjugate shifts."""
     real, pairs = shifts.imag == 0, shifts.imag > 0
     columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
     return np.asarray(np.linalg.qr(np.concatenate(columns).T)[0])
