@@ -25,7 +25,7 @@ DIVERGED_CORRECTION = 1e-3
 
 
 class ExactMatrix:
-    """Real matrix whose products have errors of about 1e-18 of their largest term.
+    """Real matrix whose products have errors of about 1e-18 of the largest term of a product.
 
     The errors do not grow if the terms of a product cancel.
     """
@@ -50,7 +50,7 @@ class ExactMatrix:
 
 
 def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
-    """Split a matrix into slices of few bits, whose products are exact.
+    """Split a matrix into slices of few bits, so that products of slices are exact.
 
     Each slice contains the next ``bits`` bits below the largest entry of each column. The product
     of two slices is exact in double precision.

@@ -1,4 +1,4 @@
-"""Direct solution of sparse symmetric systems with a checked residual.
+"""Direct solution of sparse symmetric linear equations, with a check of the residual.
 
 A model whose factors exceed the memory is rejected before the factorisation begins.
 """
@@ -30,8 +30,8 @@ USABLE_MEMORY_SHARE = 0.9
 # Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth): 4 for chains, 9
 # for plates, 34 for solids.
 FILL_FACTOR = 34.0
-REAL_BYTES = 12.0  # memory of a real entry of a factor: its value and half of an index
-ENTRY_BYTES = 24.0  # memory of a complex entry of a factor: its value, its index, and work space
+REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
+ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space
 
 
 def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
@@ -352,7 +352,7 @@ def _factorise_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 
 
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Return functions that solve with a matrix and with its transpose.
+    """Return functions that solve equations with a matrix and with its transpose.
 
     If ``symmetric`` is true, the pivots are diagonal entries, even if these entries are small.
     """

@@ -1,4 +1,4 @@
-"""Choice of OpenBLAS kernels for processors that are newer than the library.
+"""Choice of OpenBLAS kernels for processors that are newer than the OpenBLAS library.
 
 The OpenBLAS in cvxopt supports processors up to 2021. On a newer Intel processor, OpenBLAS uses
 kernels from 2004. With these kernels, a Cholesky factor of 103 000 unknowns took 12.5 s of CPU time
@@ -19,7 +19,7 @@ KERNELS = {
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "fma", "avx2"},
     "Haswell": {"fma", "avx2"},
 }
-# This file exists on Linux only. Other systems select the kernels themselves.
+# This file exists only on Linux. On other operating systems, OpenBLAS selects the kernels itself.
 _CPU_INFO = Path("/proc/cpuinfo")
 
 

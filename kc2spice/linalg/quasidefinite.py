@@ -5,11 +5,11 @@ unknowns, it has a factor ``L D L'`` without pivoting. The diagonal of D is 1 fo
 -1 for unknowns of C. These signs are prescribed, so a successful factorisation also proves that
 both blocks are definite.
 
-The method is multifrontal. The elimination tree is divided into supernodes: unknowns whose columns
-of L have nearly the same pattern. The unknowns of a supernode are its pivots. The front of a
-supernode is a dense matrix of the pivots and of the later unknowns that are coupled to them. Dense
-Cholesky factors eliminate the pivots, first the pivots of A and then the pivots of C. The remaining
-Schur complement is added to the front of the parent supernode.
+The method is multifrontal. The elimination tree is divided into supernodes. A supernode is a set of
+unknowns, its pivots, whose columns of L have nearly the same sparsity pattern. The front of a
+supernode is a dense matrix of the pivots and of the later unknowns that are coupled to the pivots.
+Dense Cholesky factors eliminate the pivots, first the pivots of A and then the pivots of C. The
+remaining Schur complement is added to the front of the parent supernode.
 
 Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.
 Software 9 (1983) 302; J. W. H. Liu, SIAM Review 34 (1992) 82; C. Ashcraft, R. Grimes, ACM Trans.

@@ -29,8 +29,8 @@ EIGENVALUE_TOLERANCE = 1e-9  # largest relative error of the eigenvalues that AR
 def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
-    The band ends a little above this frequency of the full model. For second-order models, it is an
-    undamped natural frequency; for first-order models, it is a corner frequency. Rigid-body modes
+    The band ends a little above this frequency of the full model. For second-order models, natural
+    frequencies are undamped; for first-order models, they are corner frequencies. Rigid-body modes
     do not count.
 
     Raises

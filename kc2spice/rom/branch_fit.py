@@ -58,7 +58,7 @@ PATIENCE = 2
 POOR_PATIENCE = 5  # the same number as long as the deviation exceeds POOR_DEVIATION
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
-# start values of a lead, as fractions of the largest possible lead
+# start values of a lead impedance, as fractions of the largest possible lead impedance
 LEAD_SHARES = (1e-3, 0.03, 0.5)
 STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
 # largest number of evaluations of a fit: to select among sums of elements, and for the final fit
@@ -112,10 +112,10 @@ def fit_one_port(
 
 
 def _make_network(elements: Elements) -> ParallelBranches:
-    """Make the circuit of a sum of elements.
+    """Make the circuit of the parallel elements and leads in ``elements``.
 
-    Resonances come first, in ascending frequency. If there is only one branch, the leads become a
-    part of this branch.
+    Resonant branches come first, in ascending frequency. If there is only one branch, the leads
+    become a part of this branch.
     """
     capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
     order = sorted(
@@ -183,8 +183,8 @@ def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
     """Limit the time constant of an element to ``slowest``, and the Q factor to :data:`MAX_Q`.
 
-    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values, and
-    the limits do not change Y in the band.
+    ``slowest`` is the logarithm of a time in s. The samples do not determine larger time constants
+    or Q factors, and the limits do not change Y in the band.
     """
     amplitude, *others = element.logs
     excess = _log_time(element) - slowest if others else 0.0

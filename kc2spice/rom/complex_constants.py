@@ -2,11 +2,12 @@
 
 Source: IEEE Std 176-1987.
 
-The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real d and complex
-permittivities ``eps^T (1 - j tan delta)``. These constants do not depend on frequency, so all modes
-have the same Q factor. The body has modes ``omega_j`` with gains g_j of voltages and forces, and
-the clamped capacitance D. Only elastic strain has mechanical losses. For a mode, elastic strain w_j
-is the displacement z_j minus the displacement of the free body at the voltage V:
+The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real piezoelectric
+constants d and complex permittivities ``eps^T (1 - j tan delta)``. These constants do not depend on
+frequency, so all modes have the same Q factor. The body has modes ``omega_j`` with gains g_j of
+voltages and forces, and the clamped capacitance D. Only elastic strain has mechanical losses. For a
+mode, elastic strain w_j is the displacement z_j minus the displacement of the free body at the
+voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
@@ -15,8 +16,9 @@ is the displacement z_j minus the displacement of the free body at the voltage V
 Here chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest has
 the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
 capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
-frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). They have the values
-above at one frequency: chi at the frequency of the damping, and psi at 1 kHz. Sums of relaxations
+frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). Each of chi and psi
+has the value above at only one frequency: chi at the frequency at which the damping is stated, and
+psi at 1 kHz. Sums of relaxations
 approximate chi and psi. All amplitudes of the relaxations are positive, so each relaxation is
 passive. The model is passive if its instantaneous capacitance is positive.
 """

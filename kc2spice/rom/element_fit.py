@@ -22,8 +22,8 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import CircuitBranch
 
-INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms deviation of instruments
-ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the effect of rounded frequencies
+INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms error of measuring instruments
+ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the deviation by rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
 DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
 TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
@@ -32,7 +32,8 @@ CONVERGENCE_TOLERANCE = 1e-12
 # largest logarithm of a parameter: larger than for any real part, and within the range of floats
 MAX_LOG_PARAMETER = 150.0
 DC_WEIGHT = 1e4  # weight of a prescribed dc conductance, relative to the weight of all samples
-# smallest ratio B/G at the lowest frequencies of a part that blocks direct current
+# smallest ratio of susceptance to conductance, at the lowest frequencies, of a part that blocks
+# direct current
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
 LOWEST_SAMPLES = 5  # number of samples at the lowest frequencies whose mean phase is used
 Logs = tuple[float, ...]
@@ -171,9 +172,9 @@ class Samples:
     def conducts_direct_current(self) -> bool:
         """Whether direct current flows through the part.
 
-        If the user states the conductance at zero frequency, it determines this. Otherwise, direct
-        current flows if the mean phase at the lowest frequencies differs from the phase of a
-        capacitor.
+        If the user states the conductance at zero frequency, direct current flows if this
+        conductance is positive. Otherwise, direct current flows if the mean phase at the lowest
+        frequencies differs from the phase of a capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0
@@ -219,7 +220,7 @@ class Samples:
         return np.asarray(parallel / (1 + leads * parallel))
 
     def unexplained_admittance(self, elements: Elements) -> np.ndarray:
-        """Return the measured admittance (n,) without the leads and the parallel elements."""
+        """Return the part (n,) of the measured admittance that ``elements`` do not explain."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 

@@ -113,7 +113,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
 
 
 def _split_modes(modes: int, points: int) -> Iterator[slice]:
-    """Yield groups of modes that fit into memory for all time points."""
+    """Yield slices of modes whose responses at all time points fit into memory."""
     count = max(1, MAX_STORED_VALUES // points)
     return (slice(first, first + count) for first in range(0, modes, count))
 

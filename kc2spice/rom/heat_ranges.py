@@ -65,7 +65,7 @@ MOST_VALUES = 40  # largest number of parameter values whose reduced models are 
 DEPENDENT = 1e-12  # largest size of a linearly dependent direction, relative to the largest one
 # largest negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
 CLIPPED = 1e-6
-FACT_DEGREE = 6  # highest degree of the polynomials of facts
+FACT_DEGREE = 6  # highest degree of the polynomials that interpolate facts
 
 
 class HeatReduction:
@@ -266,8 +266,8 @@ class _Basis:
     The unknown temperatures are ``psi T_i + W c``, where ``psi`` are the static responses at the
     middle of the ranges. A column of W is a mode of a reduced model, or the difference of a static
     response from ``psi``. Modes are scaled by their largest share in the static response of a port.
-    If some terms conduct no heat to the ambient, each row of ``psi`` has the sum one. A uniform
-    temperature of the body is then a vector of ones and zeros in these coordinates.
+    If some terms conduct no heat to the ambient, each row of ``psi`` sums to one. In the
+    coordinates ``T_i`` and c, a uniform temperature is then a vector of ones and zeros.
     """
 
     def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:
@@ -288,7 +288,7 @@ class _Basis:
             self.add(ranges.values(x))
 
     def add(self, values: Values) -> None:
-        """Add the directions of the reduced model at values of the parameters."""
+        """Add the basis vectors of the reduced model at ``values`` of the parameters."""
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.model(values)
@@ -329,7 +329,7 @@ class _Basis:
     def orthonormal(self) -> np.ndarray:
         """Return basis vectors W (others, directions) with ``W'K W = 1``, most important first.
 
-        Linearly dependent columns are removed before. For this purpose, the columns are
+        First, linearly dependent columns are removed. For this purpose, the columns are
         orthogonalised in the inner product of the diagonal of ``G = E + K / s``, where s is the
         largest ratio ``K_ii / E_ii``. The inner product of K would be inaccurate for slow modes,
         because ``x'K x`` is a difference of far larger numbers.
@@ -373,8 +373,8 @@ class _Basis:
 def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
     """Return ``V' matrix V`` without negative eigenvalues that are rounding errors.
 
-    The conductance matrix of an insulated body has an eigenvalue of zero. By rounding errors, its
-    computed value may be negative.
+    The conductance matrix of an insulated body has an eigenvalue of zero. Because of rounding
+    errors, the computed eigenvalue may be negative.
     """
     result = V.T @ (matrix @ V)
     values, vectors = np.linalg.eigh(0.5 * (result + result.T))

@@ -56,7 +56,7 @@ def reduce_with_interfaces(
 
     Parameters
     ----------
-    model : heat model with E and K; the column of B of each prescribed port contains one 1.
+    model : heat model with E and K; the column of B of each prescribed port contains a single 1.
     prescribed : names of the ports with prescribed temperatures.
     parts : the result of :func:`split_prescribed` if it is known.
     flows : whether the basis also represents the heat flows into prescribed ports.

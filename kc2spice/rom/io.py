@@ -31,7 +31,8 @@ from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-_MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # number of numbers per entry
+# how many numbers represent one entry of a matrix
+_MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # translation of Fortran's exponents D and d to E, and of commas to blanks
 _FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
@@ -121,7 +122,8 @@ def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> M
         return values.reshape(columns, rows).T.copy()
     skew = symmetry != "symmetric"
     upper = np.zeros((rows, rows), dtype=values.dtype)
-    upper[np.triu_indices(rows, k=int(skew))] = values  # columns of the lower triangle
+    # the file contains the columns of the lower triangle
+    upper[np.triu_indices(rows, k=int(skew))] = values
     return upper.T - upper if skew else upper.T + np.triu(upper, 1)
 
 
@@ -343,7 +345,7 @@ def parse_ports(records: object) -> tuple[Port, ...]:
 
 
 def parse_certificate(record: object) -> Certificate:
-    """Make a certificate from its record.
+    """Make a certificate from its JSON record.
 
     Raises
     ------

@@ -157,7 +157,7 @@ class Certificate:
 class LinearModel:
     """Linear model ``M x'' + E x' + K x = B u``, ``y = C x + D u`` with ports.
 
-    ``A`` of this second-order model is None. A first-order model ``E x' = A x + B u``, ``y = C x +
+    In this second-order model, ``A`` is None. A first-order model ``E x' = A x + B u``, ``y = C x +
     D u`` has no ``M`` and ``K``. A heat model ``E x' + K x = B u`` becomes a first-order model with
     ``A = -K``.
 
@@ -670,7 +670,7 @@ def stores_one_triangle(matrix: Matrix) -> bool:
 
 
 def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
-    """Return the coefficients alpha and beta as two floats, or None."""
+    """Return the Rayleigh coefficients alpha and beta as floats; None if ``pair`` is None."""
     if pair is None:
         return None
     try:

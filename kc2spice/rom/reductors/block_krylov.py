@@ -189,7 +189,7 @@ class OrthonormalBasis:
         return self.vectors[:, old:], self.stiffness_products[:, old:]
 
     def append(self, vectors: np.ndarray) -> None:
-        """Append columns (n, m) to the basis without changing them."""
+        """Append ``vectors`` (n, m), which are already orthonormal, to the basis."""
         self._reserve(vectors.shape[1])
         both = slice(self._count, self._count + vectors.shape[1])
         self._vectors[:, both], self._images[:, both] = vectors, self._stiffness(vectors)

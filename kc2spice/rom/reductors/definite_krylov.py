@@ -34,8 +34,8 @@ BLOCKS_AT_SHIFT = 3
 # Usual number of blocks for solids with several modes in the band. The first estimate of the
 # remaining time uses this number.
 USUAL_BLOCKS = 14
-# Smallest factor by which a block must change the response less than the block before. Otherwise
-# the next block is computed at a new expansion point.
+# Smallest ratio of the response changes by the previous block and by the last block. Below this
+# ratio, the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3

@@ -39,7 +39,7 @@ def split_real_parts(x: np.ndarray) -> list[np.ndarray]:
 
 
 class ExactSamples:
-    """Solutions of the full model at sample frequencies, and models projected on them."""
+    """Solutions of the full model at sample frequencies, and projections on these solutions."""
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
