@@ -247,7 +247,7 @@ def _find_neighbours(
 def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
     """Return the parent of each group in the elimination tree, -1 for a root.
 
-    The method is algorithm 4.2 of Liu.
+    The method is algorithm 4.2 of J. W. H. Liu.
     """
     parent, ancestor = [-1] * len(above), [-1] * len(above)
     for i, earlier in enumerate(above):

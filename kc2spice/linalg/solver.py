@@ -138,7 +138,7 @@ def _call_user_function(function: Callable[[Any], Any], argument: Any) -> Any:
         raise
     except (RuntimeError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
         raise SimulationError(
-            "the direct solver cannot factorise the matrix",
+            "the direct solver reports a numerical failure",
             where="solver",
             got=f"{type(error).__name__}: {error}",
         ) from error

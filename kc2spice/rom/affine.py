@@ -38,7 +38,8 @@ class ModelParameter:
 
     Raises
     ------
-    UsageError : the range contains zero or is a single number, or the default is outside of it.
+    UsageError : the range contains zero or is a single number, or the default is outside of the
+    range.
 
     Examples
     --------

@@ -18,9 +18,9 @@ the loss tangent of the data sheet and no mechanical loss. The clamped body has 
 capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
 frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). Each of chi and psi
 has the value above at only one frequency: chi at the frequency at which the damping is stated, and
-psi at 1 kHz. Sums of relaxations
-approximate chi and psi. All amplitudes of the relaxations are positive, so each relaxation is
-passive. The model is passive if its instantaneous capacitance is positive.
+psi at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the relaxations are
+positive, so each relaxation is passive. The model is passive if its instantaneous capacitance is
+positive.
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ def _use_full_order(
             "the full model itself is not that accurate",
             f"two direct solutions differ by {error:.1e}",
             limit,
-            "ask for a looser tolerance; other units or fewer elements may help",
+            "increase the tolerance; other units or fewer elements may also help",
         )
     proof = f"these are all states of the full model, solved to {error:.0e}{note}"
     error = min(error, limit)  # a larger error is a rounding error of the input matrices

@@ -102,7 +102,7 @@ def reduce_with_interfaces(
         "the heat flows into ports of prescribed temperature are not that accurate",
         f"an error of {error:.1e}",
         tolerance,
-        "a narrower rom.band or a looser rom.tolerance may help",
+        "increase rom.tolerance, or narrow rom.band",
     )
 
 

@@ -69,11 +69,12 @@ class IntermediateModel:
 def make_no_convergence_error(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
+    """Make the error of a Krylov method whose error estimate remains above the limit."""
     modes = response.within(band)[0].size
     return make_inaccuracy_error(
         "the reduced model does not settle",
-        f"relative error {error:.1e} with {response.pencil.size} states; the band holds at least "
-        f"{modes} resonances",
+        f"relative error {error:.1e} with {response.pencil.size} states; the band contains at "
+        f"least {modes} resonances",
         limit,
-        "narrow the band or ask for a looser tolerance",
+        "narrow the band or increase the tolerance",
     )

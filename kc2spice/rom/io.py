@@ -58,7 +58,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     if form not in _MARKET_LAYOUTS or symmetry not in _SYMMETRIES:
         raise ValueError(f"'{form} {symmetry}' is not supported")
     if field not in _MARKET_FIELDS:
-        raise ValueError(f"it is a {field} matrix")
+        raise ValueError(f"a matrix of type '{field}' is not supported")
     sizes, start = _read_sizes(data, end + 1)
     if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with the matrix size is damaged")
@@ -158,7 +158,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
     """
     sound = (values >= 1) & (values <= size) & (values == np.floor(values))
     if not sound.all():
-        raise ValueError(f"the index {values[~sound][0]:g} exceeds the {size} rows of the matrix")
+        raise ValueError(f"the index {values[~sound][0]:g} is not a whole number from 1 to {size}")
     return values.astype(np.int64) - 1
 
 
@@ -340,7 +340,7 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     stated = [record[key] for record in records for key in ("across", "flow") if key in record]  # type: ignore[attr-defined]
     for text in (*words, *stated):  # a port replaces an empty unit by its default
         if len(require_single_line(text, MAX_TEXT_LENGTH).split()) != 1:
-            raise ValueError(f"not one word: {text!r}")
+            raise ValueError(f"a name or unit is empty or contains a blank: {text!r}")
     return ports
 
 

@@ -610,7 +610,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     multiple. Otherwise, the loss matrix has the storage format of K, and the loss factor is zero.
     """
     if K is None or K.shape != loss.shape:
-        raise _make_structural_loss_error(where, "a loss that does not belong to K")
+        raise _make_structural_loss_error(where, "a loss matrix whose size differs from K")
     if isinstance(K, Schur):  # the potentials have no loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
             raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
@@ -621,7 +621,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
         K, loss = map(scipy.sparse.csc_array, (K, loss))
     scale = largest_entry(K)
     if not scale:
-        raise _make_structural_loss_error(where, "an imaginary part without a real one")
+        raise _make_structural_loss_error(where, "an imaginary part without a real part")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
     if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR_TOLERANCE * scale:

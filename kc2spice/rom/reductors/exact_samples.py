@@ -139,7 +139,7 @@ def reduce_by_samples(
             "the model cannot be distinguished from rounding errors",
             f"relative error {max(recent):.1e} with {model.size} states",
             limit,
-            "ask for a looser tolerance or a narrower band",
+            "increase the tolerance or narrow the band",
         )
     proof = f"compared with refined solutions of the full model at {len(known.frequency)} "
     response = Response(model)
