@@ -147,10 +147,10 @@ class Factor:
         solution = self.apply_inverse(rhs)
         for _ in range(MAX_REFINEMENTS):
             residual = rhs - self.matrix @ solution
-            if self._backward_error(solution, residual, rhs) <= RESIDUAL_LIMIT:
+            if self._compute_backward_error(solution, residual, rhs) <= RESIDUAL_LIMIT:
                 return solution[:size]
             solution = solution + self.apply_inverse(residual)
-        error = self._backward_error(solution, rhs - self.matrix @ solution, rhs)
+        error = self._compute_backward_error(solution, rhs - self.matrix @ solution, rhs)
         if not error <= RESIDUAL_LIMIT:
             raise SimulationError(
                 "the solution of the linear equations is inaccurate",
@@ -161,7 +161,9 @@ class Factor:
             )
         return solution[:size]
 
-    def _backward_error(self, x: np.ndarray, residual: np.ndarray, rhs: np.ndarray) -> float:
+    def _compute_backward_error(
+        self, x: np.ndarray, residual: np.ndarray, rhs: np.ndarray
+    ) -> float:
         """Return the normwise backward error ``|r| / (|A| |x| + |rhs|)``."""
         scale = self.norm * np.abs(x).max(initial=0.0) + np.abs(rhs).max(initial=0.0)
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0

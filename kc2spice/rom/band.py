@@ -87,7 +87,7 @@ def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
         else:  # massless unknowns have infinite natural frequencies
             inverse, T = eigh(M, K + MASSLESS_SHIFT * largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > ZERO_MASS * inverse[-1]][:, ::-1]
-        return _rayleigh_quotients(K, M, X)[:count]
+        return _compute_rayleigh_quotients(K, M, X)[:count]
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
     stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
@@ -102,13 +102,13 @@ def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
             LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
             mode_count, M, sigma=-shift, OPinv=inverse, v0=start, tol=EIGENVALUE_TOLERANCE,
         )  # fmt: skip
-        rates = _rayleigh_quotients(K, M, result[1])
+        rates = _compute_rayleigh_quotients(K, M, result[1])
         if rates.size >= count or mode_count == pencil.size - 2:
             return rates[:count]
         mode_count *= 2
 
 
-def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
+def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
     """Return the Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes in ascending order."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)

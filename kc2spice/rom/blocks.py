@@ -158,7 +158,7 @@ def _split_schur_form(
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0
     while start < n:
-        end = start + _block_size(T, start)
+        end = start + _get_block_size(T, start)
         while end < n:
             S, scale, info = lapack.dtrsyl(
                 T[start:end, start:end], T[end:, end:], -T[start:end, end:], isgn=-1
@@ -178,7 +178,7 @@ def _split_schur_form(
             T[end:, end:] = T22
             X[:, end:] = X[:, end:] @ Q
             inverse[end:] = Q.T @ inverse[end:]
-            end += _block_size(T, end)
+            end += _get_block_size(T, end)
         blocks.append(T[start:end, start:end])
         start = end
     return tuple(blocks), X, inverse
@@ -192,7 +192,7 @@ def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
         start += size
 
 
-def _block_size(T: np.ndarray, start: int) -> int:
+def _get_block_size(T: np.ndarray, start: int) -> int:
     """Return the size (1 or 2) of the diagonal block that begins at ``start``."""
     return next(_list_blocks(T, start))[1]
 

@@ -145,7 +145,7 @@ def fit_branches(samples: Samples) -> Elements:
         if not ends:
             break
         elements = samples.refine(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
-        elements = _simplify(samples, elements, _select_outside_band(samples, elements))
+        elements = _simplify_sum(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
         enough |= not best or samples.rms(elements) < (1 - MIN_IMPROVEMENT) * samples.rms(best)
@@ -156,7 +156,7 @@ def fit_branches(samples: Samples) -> Elements:
         patience = PATIENCE if samples.rms(best) < POOR_DEVIATION else POOR_PATIENCE
         if samples.is_described(best):
             break
-    best = samples.refine(_simplify(samples, best, best), FINAL_EVALUATIONS)
+    best = samples.refine(_simplify_sum(samples, best, best), FINAL_EVALUATIONS)
     slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
@@ -228,14 +228,14 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
     )
 
 
-def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
+def _simplify_sum(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
     """Remove or simplify elements among ``doubtful`` if this reduces the criterion."""
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler_sums(samples, elements, element):
             end = samples.refine(fewer)
             if end and samples.criterion(end) < value:
-                return _simplify(samples, end, end)
+                return _simplify_sum(samples, end, end)
     return elements
 
 

@@ -201,7 +201,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
         D=D,
         ports=model.ports,
     )
-    error = _largest_error(result, model, losses, electrical, known.band_hz)
+    error = _compute_largest_error(result, model, losses, electrical, known.band_hz)
     method = (
         f"{known.method}; complex constants, 1/Q of {losses.loss_factor:g} by {len(chi.rates)} and "
         f"a loss tangent of {losses.tangent:g} by {used.sum()} relaxations within {error:.1e}"
@@ -210,7 +210,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     return replace(result, certificate=certificate)
 
 
-def _largest_error(
+def _compute_largest_error(
     model: LinearModel,
     modes: Resonators,
     losses: ComplexConstants,

@@ -321,7 +321,7 @@ class Samples:
             tried = unpack(logs)
             result = []
             for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):
-                result.append(self._stack_rows(first, _conductance_slope(tried, e)))
+                result.append(self._stack_rows(first, _compute_conductance_slope(tried, e)))
                 result += [self._stack_rows(other, 0.0) for other in others]
             return np.column_stack(result)
 
@@ -377,7 +377,7 @@ def conductance(elements: Elements) -> float:
     return parallel / (1 + sum_lead_resistance(elements) * parallel)
 
 
-def _conductance_slope(elements: Elements, element: FitElement) -> float:
+def _compute_conductance_slope(elements: Elements, element: FitElement) -> float:
     """Return the derivative of the dc conductance with respect to an element's log amplitude."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * sum_lead_resistance((element,))

@@ -162,13 +162,13 @@ def compute_time_errors(
     exact = np.sum(known, axis=0)
     direct = load[:, None, :] * rich.D
     rows = [exact, *known, *np.moveaxis(direct, 2, 0)]
-    scale = np.max([_rms(t, row - row[0]) for row in rows], axis=0)
+    scale = np.max([_compute_rms(t, row - row[0]) for row in rows], axis=0)
     scale = np.maximum(scale, CONSTANT_VARIATION * np.abs(exact).max(axis=0))
-    difference = _rms(t, (ours - ours[0]) - (exact - exact[0]))
+    difference = _compute_rms(t, (ours - ours[0]) - (exact - exact[0]))
     errors = np.divide(difference, scale, out=np.zeros_like(scale), where=scale > 0)
     return dict(zip(small.outputs, errors.tolist(), strict=True))
 
 
-def _rms(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _compute_rms(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Compute the rms values (outputs,) over time of ``values`` (n, outputs)."""
     return np.asarray(np.sqrt(np.trapezoid(values**2, t, axis=0) / (t[-1] - t[0])))

@@ -53,7 +53,7 @@ class Entries:
         rows, columns = balance(peak)
         scale = rows[:, None] * columns
         empty = (peak.max(axis=1, initial=0.0) == 0)[:, None] | (peak.max(axis=0, initial=0.0) == 0)
-        mean = np.maximum(_geometric_mean(size, rows, columns), scale)
+        mean = np.maximum(_compute_geometric_mean(size, rows, columns), scale)
         zero = (zero | (size <= ZERO_ENTRY * mean).all(axis=0)) & ~empty
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
@@ -64,7 +64,7 @@ class Entries:
         """
         size = np.abs(H)
         if self.zero.any():
-            size = np.where(self.zero, _geometric_mean(size, self.rows, self.columns), size)
+            size = np.where(self.zero, _compute_geometric_mean(size, self.rows, self.columns), size)
         return np.asarray(np.maximum(size, share * self.peak))
 
     def negligible(self, H: np.ndarray) -> np.ndarray:
@@ -73,7 +73,7 @@ class Entries:
         Such values are below ``ZERO_ENTRY`` times the geometric mean of their row and column.
         """
         scale = self.rows[:, None] * self.columns
-        mean = _geometric_mean(np.abs(H), self.rows, self.columns)
+        mean = _compute_geometric_mean(np.abs(H), self.rows, self.columns)
         return np.asarray(np.abs(H) <= ZERO_ENTRY * np.maximum(mean, scale))
 
     def relative_sizes(
@@ -105,7 +105,7 @@ def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _compute_geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return for each entry the geometric mean of the largest entries of its row and column.
 
     ``size`` and the returned array have the shape (..., outputs, inputs).

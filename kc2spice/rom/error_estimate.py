@@ -71,7 +71,7 @@ def choose_adaptive_frequencies(
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(NOTCH_ROUNDS):
         peak = response.entries(frequency, H).peak + np.finfo(float).tiny
-        lowest = _minima_near_zeros(H / peak).reshape(len(H) - 2, -1).min(axis=1)
+        lowest = _find_minima_near_zeros(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(REFINED_NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
@@ -85,7 +85,7 @@ def choose_adaptive_frequencies(
     return frequency
 
 
-def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
+def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
     """Return the magnitudes of the minima of ``H`` that may be near a deeper minimum.
 
     H is scaled to a peak of 1. At all other samples, the returned array is infinite. If a zero is

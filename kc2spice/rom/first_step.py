@@ -160,7 +160,7 @@ def _use_full_order(
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
     hidden = find_hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
-    T = _undamped_modes(full.without_free_motion) if static else None
+    T = _compute_undamped_modes(full.without_free_motion) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
         full, projected = project_with_rigid_body(original, V, full.free)
@@ -171,7 +171,7 @@ def _use_full_order(
         or (full.size > MAX_DIRECT_UNKNOWNS and not response.diagonal)
     ):
         return None
-    error, floor, rounded = _solution_error(response, band), 0.0, 0.0
+    error, floor, rounded = _estimate_solution_error(response, band), 0.0, 0.0
     at, ratio = response.select_visible(band)
     note = ""
     if at.size:
@@ -214,7 +214,7 @@ def _use_full_order(
     )
 
 
-def _undamped_modes(full: Pencil) -> np.ndarray | None:
+def _compute_undamped_modes(full: Pencil) -> np.ndarray | None:
     """Compute the modes (n, n) of a model with symmetric, definite K and M of moderate size.
 
     Return None for other models.
@@ -231,7 +231,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
     return np.asarray(T) if values.min() > 0 else None
 
 
-def _solution_error(response: Response, band: tuple[float, float]) -> float:
+def _estimate_solution_error(response: Response, band: tuple[float, float]) -> float:
     """Return the largest relative difference between direct solutions and modal solutions.
 
     The direct solutions are computed in two elimination orders.

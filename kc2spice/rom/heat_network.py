@@ -88,9 +88,9 @@ class FosterNetwork(EqualByContent):
             above, below = _add_modes(list(map(Decimal, resistance)), list(map(Decimal, times)))
             while above:
                 capacity = below[-1] / above[-1]
-                below = _subtract(below, [Decimal(0), *(capacity * x for x in above)])
+                below = _subtract_polynomials(below, [Decimal(0), *(capacity * x for x in above)])
                 drop = above[-1] / below[-1]
-                above = _subtract(above, [drop * x for x in below])
+                above = _subtract_polynomials(above, [drop * x for x in below])
                 capacities.append(float(capacity))
                 resistances.append(float(drop))
         return HeatLadder(np.array(resistances), np.array(capacities), self.direct)
@@ -181,12 +181,12 @@ def _add_modes(
     """
     above, below = list[Decimal](), [Decimal(1)]
     for R, t in zip(resistance, times, strict=True):
-        above = _add_polynomials(_times_pole(above, t), [R * x for x in below])
-        below = _times_pole(below, t)
+        above = _add_polynomials(_multiply_by_pole(above, t), [R * x for x in below])
+        below = _multiply_by_pole(below, t)
     return above, below
 
 
-def _times_pole(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
+def _multiply_by_pole(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
     """Return a polynomial times ``1 + s t``."""
     if not polynomial:
         return []
@@ -198,6 +198,6 @@ def _add_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decima
     return [a + b for a, b in zip_longest(first, second, fillvalue=Decimal(0))]
 
 
-def _subtract(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
+def _subtract_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
     """Return the difference of polynomials whose leading terms cancel."""
     return _add_polynomials(first, [-x for x in second])[:-1]

@@ -144,13 +144,13 @@ class HeatReduction:
                 fresh.append(ranges.reference(self._compute_full(values), values))
             error = SAFETY * max(inner, *(item.error(result) for item in fresh))
             if error <= tolerance:
-                return self._finish(ranges, result, error), samples
+                return self._certify(ranges, result, error), samples
             samples += fresh
         problem = "the error cannot be estimated over the ranges of the parameters"
         got = f"{error:.2g} at a point that was not used for the reduction"
         raise make_range_error(problem, self._frame.name, got, tolerance)
 
-    def _finish(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
+    def _certify(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
         """Return the model with its certificate, and with facts that full models determine."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
@@ -230,7 +230,7 @@ class _Reference:
         """
         ours = split_prescribed(reduced.at(self.values), self.ranges.prescribed)
         response = Response(ours.inner.select(self.live).pencil.dense())
-        still = self._static_error(ours)
+        still = self._compute_static_error(ours)
         if self.ranges.flows:
             still = max(still, self.flow_error(reduced))
         if still > limit:
@@ -243,7 +243,7 @@ class _Reference:
         model = reduced.at(self.values)
         return self.flows.error(model, split_prescribed(model, self.ranges.prescribed))
 
-    def _static_error(self, ours: PrescribedTemperatures) -> float:
+    def _compute_static_error(self, ours: PrescribedTemperatures) -> float:
         """Return the largest relative error of the static responses to prescribed temperatures."""
         share = get_reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
@@ -318,10 +318,10 @@ class _Basis:
         share = (gains / np.where(total > 0, total, 1.0)).max(axis=0)
         self.columns.append(modes * share)
         change = parts.psi - self.psi
-        size = self._norms(self.psi)
+        size = self._compute_energy_norms(self.psi)
         self.columns.append(change / np.where(size > 0, size, 1.0))
 
-    def _norms(self, columns: np.ndarray) -> np.ndarray:
+    def _compute_energy_norms(self, columns: np.ndarray) -> np.ndarray:
         """Return the energy norm ``sqrt(x'K x)`` of each column x."""
         squares = np.einsum("ij,ij->j", columns, self.conductance @ columns)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
@@ -354,13 +354,13 @@ class _Basis:
         V = np.zeros((ranges.frame.order, n + W.shape[1]))
         V[middle.at, :n], V[middle.others, :n] = np.eye(n), self.psi
         V[middle.others, n:] = W
-        stiff = [_project(K, V) for K in ranges.terms.K]
+        stiff = [_project_matrix(K, V) for K in ranges.terms.K]
         constant = np.zeros((V.shape[1], 1))
         constant[:n] = 1 / np.sqrt(max(n, 1))
         P = np.eye(V.shape[1]) - constant @ constant.T
         for t in np.flatnonzero(ranges.isolated):  # a uniform temperature causes no heat flow
             stiff[t] = P @ stiff[t] @ P
-        stored = [_project(E, V) for E in ranges.terms.E]
+        stored = [_project_matrix(E, V) for E in ranges.terms.E]
         return HeatOverRanges(
             terms=replace(ranges.terms, E=tuple(stored), K=tuple(stiff)),
             B=V.T @ ranges.frame.B,
@@ -370,7 +370,7 @@ class _Basis:
         )
 
 
-def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
+def _project_matrix(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
     """Return ``V' matrix V`` without negative eigenvalues that are rounding errors.
 
     The conductance matrix of an insulated body has an eigenvalue of zero. Because of rounding
@@ -410,7 +410,7 @@ def _find_smallest_model(
     while low < high:
         count = (low + high) // 2
         model = basis.model(W[:, :count])
-        largest = _largest_error(model, samples, limit)
+        largest = _find_largest_error(model, samples, limit)
         if largest <= limit:
             high, best, error = count, model, largest
         else:
@@ -418,7 +418,9 @@ def _find_smallest_model(
     return best, error
 
 
-def _largest_error(model: HeatOverRanges, samples: Sequence[_Reference], limit: float) -> float:
+def _find_largest_error(
+    model: HeatOverRanges, samples: Sequence[_Reference], limit: float
+) -> float:
     """Return the largest error at the samples, or the first error that exceeds the limit."""
     result = 0.0
     for item in samples:

@@ -75,7 +75,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
     if is_dissipative(pencil):
         return None
     rates = [2 * np.pi * band[1]] if band else []
-    for rate in [*rates, _typical_rate(pencil)]:
+    for rate in [*rates, _compute_median_rate(pencil)]:
         try:
             poles = _find_growing_poles(pencil, rate)
         except (SimulationError, ArpackError):
@@ -120,7 +120,7 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
     return np.asarray(scale @ vectors[:, 0])
 
 
-def _typical_rate(pencil: Pencil) -> float:
+def _compute_median_rate(pencil: Pencil) -> float:
     """Return the median of ``(k_ii / m_ii)^(1/degree)`` [1/s] over the unknowns with inertia."""
     rest, inertia = (abs(P.diagonal()) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
     moving = (rest > 0) & (inertia > 0)

@@ -402,11 +402,11 @@ class LinearModel:
         See :func:`kc2spice.rom.state_space.state_space`.
         """
         if self.structural:
-            raise self._without_states()
+            raise self._make_no_state_space_error()
         known = self.certificate
         return state_space(self.pencil, known.band_hz[1] if known else None)
 
-    def _without_states(self) -> UsageError:
+    def _make_no_state_space_error(self) -> UsageError:
         return UsageError(
             "a model with structural damping has no state-space form",
             where=self.name,
@@ -429,7 +429,7 @@ class LinearModel:
         UsageError : the model has structural damping, which these classes cannot represent.
         """
         if self.structural:
-            raise self._without_states()
+            raise self._make_no_state_space_error()
         models = import_optional("pymor.models.iosys", "to_pymor")
         if self.first_order:
             return models.LTIModel.from_matrices(self.A, self.B, self.C, D=self.D, E=self.E)

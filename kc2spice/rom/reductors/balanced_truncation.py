@@ -80,7 +80,7 @@ class BalancedTruncation(Reductor):
         rows, columns = compute_balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
-        roots = _gramian_roots(task.first_order.pencil, rows, columns)
+        roots = _compute_gramian_roots(task.first_order.pencil, rows, columns)
         return None if roots is None else balance_model(task, task.first_order.pencil, *roots)
 
 
@@ -92,11 +92,11 @@ def compute_hankel_singular_values(task: Task) -> np.ndarray | None:
     if not has_gramians(task):
         return None
     model = task.first_order.pencil
-    roots = _gramian_roots(model, np.ones(len(model.C)), np.ones(model.B.shape[1]))
+    roots = _compute_gramian_roots(model, np.ones(len(model.C)), np.ones(model.B.shape[1]))
     return None if roots is None else np.linalg.svd(roots[1].T @ roots[0], compute_uv=False)
 
 
-def _gramian_roots(
+def _compute_gramian_roots(
     model: Pencil, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Compute square roots of both Gramians of a model with scaled outputs and inputs.
@@ -200,17 +200,17 @@ def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
         X, scale, _ = scipy.linalg.lapack.dtrsyl(A, B, C, tranb="T")
         return np.asarray(X / scale)
     if rows >= columns:
-        k = _schur_half(A)
+        k = _find_schur_middle(A)
         low = _solve_sylvester(A[k:, k:], B, C[k:])
         high = _solve_sylvester(A[:k, :k], B, C[:k] - A[:k, k:] @ low)
         return np.concatenate([high, low])
-    k = _schur_half(B)
+    k = _find_schur_middle(B)
     right = _solve_sylvester(A, B[k:, k:], C[:, k:])
     left = _solve_sylvester(A, B[:k, :k], C[:, :k] - right @ B[:k, k:].T)
     return np.hstack([left, right])
 
 
-def _schur_half(T: np.ndarray) -> int:
+def _find_schur_middle(T: np.ndarray) -> int:
     """Return an index near the middle of a Schur form that does not divide a 2 x 2 block."""
     k = len(T) // 2
     return k + 1 if T[k, k - 1] else k

@@ -68,8 +68,8 @@ class BandLimitedBalancing(Reductor):
         frequency, (H, entries) = estimator.frequency[::step], estimator.reference
         inputs, outputs = _compute_weights(frequency, entries.base(H[::step], estimator.share))
         s = 1j * frequency / task.band[1]
-        controllable = _sum_square_root(response.states(s) * inputs[:, None, :])
-        observable = _sum_square_root(response.dual.states(s) * outputs[:, None, :])
+        controllable = _compute_sum_root(response.states(s) * inputs[:, None, :])
+        observable = _compute_sum_root(response.dual.states(s) * outputs[:, None, :])
         return balance_model(task, response.pencil, controllable, observable)
 
 
@@ -84,7 +84,7 @@ def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarra
     return step[:, None] / columns, step[:, None] / rows
 
 
-def _sum_square_root(x: np.ndarray) -> np.ndarray:
+def _compute_sum_root(x: np.ndarray) -> np.ndarray:
     """Return a real square root of the sum of ``x x*`` over all samples."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])

@@ -156,14 +156,14 @@ def interpolate_response(
     full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray
 ) -> Pencil:
     """Return the model that interpolates ``full`` at shifts along left and right directions."""
-    V = _real_basis(shifts, full.states(shifts) @ right[:, :, None])
-    W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
+    V = _compute_real_basis(shifts, full.states(shifts) @ right[:, :, None])
+    W = _compute_real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
     A = np.linalg.solve(inner, W.T @ -pencil.coefficients[0] @ V)
     return make_explicit_pencil(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
 
 
-def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _compute_real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return a real orthonormal basis (n, q) of complex vectors (q, n, 1) at conjugate shifts."""
     real, pairs = shifts.imag == 0, shifts.imag > 0
     columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
