@@ -17,12 +17,14 @@ from kc2spice.rom.reductors.base import Reductor
 # Limits of the computing time, which grows with the cube of the number of states. The limits were
 # found by trials.
 MAX_STATES = 2000  # largest number of first-order states for dense Gramians
-MAX_UNSCALED_STATES = 500  # largest number of first-order states for a second pair of Gramians
+# largest number of first-order states for which unscaled inputs and outputs are tried too
+MAX_UNSCALED_STATES = 500
 # Smallest decay rate of a pole, relative to the angular frequency at the end of the band. Gramians
 # of models with slower poles contain only rounding errors.
 MIN_DECAY = 1e-9
 SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
-HANKEL_ROUNDING = 1e-13  # largest relative Hankel singular value that is a rounding error
+# Hankel singular values below this fraction of the largest one are rounding errors
+HANKEL_ROUNDING = 1e-13
 NOT_STABLE_TEXT = "the model is not strictly stable"
 
 
@@ -130,7 +132,7 @@ def explain_no_gramians(task: Task) -> str:
 
 
 def explain_too_large(states: int, largest: int) -> str:
-    """Return the reason if a model with this number of states is too large, otherwise ""."""
+    """Return why a model with this number of states is too large, "" if it is small enough."""
     if states <= largest:
         return ""
     return f"the intermediate model has {states} first-order states, more than {largest}"

@@ -85,7 +85,7 @@ def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarra
 
 
 def _compute_sum_root(x: np.ndarray) -> np.ndarray:
-    """Return a real square root of the sum of ``x x*`` over all samples."""
+    """Return a real matrix R for which ``R R'`` is the real part of the sum of ``x x*``."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
     return np.asarray(
