@@ -1,1 +1,1 @@
-"""Bodies: devices as linear models with named ports, from sizes, meshes or files."""
+"""Linear models of devices (bodies) with named ports, made from dimensions, meshes or files."""

@@ -1,22 +1,25 @@
 """Finite-element models of solids with supports, electrodes and ports.
 
-Constraints are expressed by independent unknowns. The displacements are ``u = P z``, where z are
-the free displacements and the six motions of each rigid face. The potentials are ``phi = Q p + R
-V``, where p are the free potentials (one per floating electrode) and V the voltages of driven
-electrodes. With unit forces f and their distributions S over the nodes, the equations are
+Constraints are met by a choice of independent unknowns. The displacements are ``u = P z``, where z
+contains the free displacements and the six motions of each rigid face. The potentials are ``phi = Q
+p + R V``, where p contains the free potentials (one for each floating electrode), and V the
+voltages of driven electrodes. The loads f of the ports are distributed over the nodes by the matrix
+S. M is the mass matrix, and K_uu, K_up and K_pp are the blocks of the stiffness matrix. The
+equations are
 
     P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
         charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
 
-from which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
+where y are the outputs of the ports. The function :func:`kc2spice.rom.linear_model.with_potentials`
+eliminates p exactly from these equations.
 
-:class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. Blocks are
-boxes along the axes; in a body of revolution, they are rectangles in the plane (radius, height).
-All blocks are on one grid of quadratic quadrilaterals or hexahedra. Every edge of a block, an
-electrode, a support or a port is a line of the grid. Only piezoelectric blocks have a potential.
-Conductors and electrodes are equipotentials, and other insulators have no field
-(:mod:`kc2spice.fem.solid`).
+:class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. The edges
+of blocks are parallel to the axes; in a body of revolution, blocks are rectangles in the plane
+(radius, height). All blocks are meshed by one grid of quadratic quadrilaterals or hexahedra. Every
+edge of a block, an electrode, a support or a port is a line of the grid. Only piezoelectric blocks
+have a potential. Conductors and electrodes are equipotentials. Insulators that are not
+piezoelectric have no electric field (:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations
@@ -50,12 +53,12 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
 
-# Shift [rad/s] for an unsupported body, as a multiple of its slowest wave speed divided by its
-# size.
+# Square root of the shift [rad/s] of an unsupported body, relative to its slowest wave speed
+# divided by its size.
 FREE_SHIFT_RATIO = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
-# Relative computing times of the steps, measured for piezoelectric blocks of 10 000 and 29 000
-# unknowns.
+# Steps of the computation and their relative computing times, measured for piezoelectric blocks
+# with 10 000 and 29 000 unknowns. The first steps are for supported bodies.
 SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
 FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mesh error", 6.6)
 
@@ -74,16 +77,16 @@ class PortLoad:
 
 
 def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad:
-    """Return the port of a pressure on a boundary, whose output is the displaced volume.
+    """Return a port for the pressure on the ``facets`` of a boundary, and its nodal forces.
 
-    The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS``, and
-    the output of the port is ``-int u n dS``.
+    The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS`` with
+    the shape functions N. The output of the port is the displaced volume ``-int u n dS``.
     """
     return PortLoad(port, -compute_displaced_volume(solid, facets), facets)
 
 
 def get_area_name(port: str) -> str:
-    """Return the name of the area [m^2] of an acoustic port among the facts of a model."""
+    """Return the key in ``facts`` of a model for the area [m^2] of an acoustic port."""
     return f"area_{port}_m2"
 
 
@@ -91,8 +94,9 @@ def get_area_name(port: str) -> str:
 class RigidFace:
     """Face that moves as a rigid body, with ports for its motions.
 
-    ``ports`` contains pairs of a port and its motion (ux, uy, uz, rx, ry, rz). The rotations are
-    about the mean position of the nodes.
+    ``ports`` contains each port and the motion that the port represents: three translations and
+    three rotations (ux, uy, uz, rx, ry, rz). The rotations are about the mean position of the
+    nodes.
     """
 
     nodes: np.ndarray
@@ -108,15 +112,17 @@ class BoundaryConditions:
     fixed : mask (d nodes,) of the displacements that are zero.
     electrodes : nodes of each electrode, keyed by its pin; all voltages are relative to the pin
         ``reference``.
-    floating : nodes of each electrode without a pin, which has one potential and no charge.
-    shapes : ports of forces and pressures.
+    floating : nodes of each floating electrode, which has no pin, one potential and no net charge.
+    shapes : ports of forces and pressures, with their nodal loads.
     faces : rigid faces with ports of forces and moments.
     base : ports of base acceleration, and the direction (3,) of each port.
-    graded : nodes whose potential is a fraction of the voltage of the first pin, and the fractions;
-        for planes of electrodes within elements.
-    lumped : additional masses [kg] (nodes,).
-    springs : additional stiffness [N/m] (d nodes, d nodes).
-    sectors : number of equal solids that move identically; the model represents all of them.
+    graded : nodes whose potential is a fraction of the first pin's voltage, and these fractions.
+        Such nodes occur if planes of electrodes lie inside elements.
+    lumped : additional mass [kg] at each node, an array of shape (nodes,).
+    springs : additional stiffness matrix [N/m] of shape (d nodes, d nodes).
+    sectors : number of equal solids that move identically. One of them is meshed, and the model
+        represents all of them.
+    damping : damping of the solid.
     """
 
     fixed: np.ndarray
@@ -139,7 +145,7 @@ class BoundaryConditions:
 
 
 def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
-    """Make the model of a solid with supports, ports and damping, and its characteristic values.
+    """Make the damped model of a solid with supports and ports, and its characteristic values.
 
     Raises
     ------
@@ -167,7 +173,7 @@ def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
 
 
 def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
-    """Make the model of a solid with its constraints and ports, without damping.
+    """Make the undamped model of a solid with its constraints and ports.
 
     Characteristic values are not computed.
     """
@@ -211,11 +217,12 @@ def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElemen
 
 
 def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float | None:
-    """Estimate the voltage [V] that depolarises a ceramic; None if unknown.
+    """Estimate the voltage [V] that depolarises a ceramic of the solid.
 
-    At this voltage, the mean field along the shortest line from an electrode to the reference
-    equals the depoling field of the material. At the edge of an electrode, a lower voltage may
-    depolarise the ceramic.
+    At this voltage, the mean electric field along the shortest line from a driven electrode to the
+    reference electrode equals the lowest depoling field of the materials. At the edge of an
+    electrode, a lower voltage may depolarise the ceramic. Return None if the depoling field of a
+    material is unknown.
     """
     limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
     if not setup.driven_electrodes or not limits or None in limits:
@@ -229,11 +236,11 @@ def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float
 
 
 def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
-    """Add Rayleigh damping with the same factors for all materials.
+    """Add Rayleigh damping to a model, with the same factors for all materials.
 
     Raises
     ------
-    UsageError : the damping ratio is given at the first resonance, but the model has no resonance.
+    UsageError : the damping ratio applies at the first resonance, but the model has no resonance.
     """
     first = _find_damping_frequency(model, damping)
     rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
@@ -241,7 +248,7 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
 
 
 def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | None:
-    """Determine the frequency [Hz] at which a damping ratio or a Q factor is given."""
+    """Return the frequency [Hz] at which the given damping ratio or Q factor applies."""
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
@@ -257,7 +264,7 @@ def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | Non
 def _add_damping(
     model: LinearModel, solid: Solid, P: sparse.csc_array, setup: BoundaryConditions
 ) -> LinearModel:
-    """Add Rayleigh damping, or separate damping of each material by its Q factor."""
+    """Add Rayleigh damping to a model, or damping of each material according to its Q factor."""
     damping = setup.damping
     if not damping.per_material:
         return add_rayleigh_damping(model, damping)
@@ -272,13 +279,16 @@ def _add_damping(
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
     def damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
-        """Return the damping matrix of one material."""
+        """Return the damping matrix of one material, or of all materials if it is None.
+
+        The matrix is ``beta`` [s] times the stiffness matrix.
+        """
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # One term damps the whole body with the smallest loss factor, and further terms add the
-    # remaining loss of each material. In this way, E and K have the same rounding errors in the
-    # first mode.
+    # The first term damps the whole body with the smallest factor of all materials. Further terms
+    # add the remaining damping of each material. In this way, E and K have the same rounding errors
+    # in the first mode.
     least = min(loss)
     E = damping.alpha * model.M + damping_term(least)
     for number, beta in enumerate(loss):
@@ -288,20 +298,26 @@ def _add_damping(
 
 
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Return weights (d nodes,) that distribute a unit force along ``axis`` over nodes."""
+    """Return the nodal forces of a unit force along ``axis``, an array of shape (d nodes,).
+
+    ``shares`` (nodes,) is the share of the force at each node.
+    """
     return np.outer(shares, axis[solid.axes]).ravel()
 
 
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
-    """Return the displacements (d nodes,) of a rigid translation along ``axis`` (3,)."""
+    """Return the nodal displacements of a rigid translation by the vector ``axis`` (3,).
+
+    The array has the shape (d nodes,).
+    """
     return spread_force(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
 
 def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
-    """Return the displacements (d nodes, 6) of three translations and three rotations.
+    """Return the nodal displacements of three translations and three rotations.
 
-    The rotations are about ``centre``. A body of revolution has one column, the translation along
-    its axis.
+    The rotations are about ``centre``. The array has the shape (d nodes, 6). For a body of
+    revolution, it has only one column, for the translation along the axis.
     """
     if solid.axisymmetric:
         return compute_rigid_translation(solid, UP)[:, None]
@@ -314,7 +330,10 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
 def _constrain_displacements(
     solid: Solid, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """Compute the matrix ``P`` of ``u = P z``, and the loads of the ports of rigid faces."""
+    """Compute the matrix ``P`` of ``u = P z``, and the loads of rigid faces.
+
+    The loads are pairs of a port of a rigid face and its load vector (unknowns,).
+    """
     d, free = solid.components, ~setup.fixed
     where = solid.places.T
     blocks = []
@@ -365,7 +384,7 @@ def _constrain_potentials(
         raise wrong("electrodes", problem, hint=hint)
 
     def indicate_nodes(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
-        """Return one column that is ``values`` at the ``nodes`` and zero elsewhere."""
+        """Return a column vector with ``values`` at the ``nodes`` and zeros elsewhere."""
         column = np.zeros(len(live))
         column[nodes] = values
         return sparse.csc_array((column * live)[:, None])
@@ -398,7 +417,7 @@ def _choose_shift(solid: Solid, setup: BoundaryConditions) -> float:
 
 
 def _find_pieces(solid: Solid, setup: BoundaryConditions) -> list[np.ndarray]:
-    """Find the nodes of each piece of the body that moves independently.
+    """Find the nodes of each piece that can move independently of the other pieces.
 
     A piece is a rigid face, or a set of elements that are joined through common faces. Elements
     that share only an edge belong to different pieces, because they can rotate about the edge.
@@ -413,9 +432,10 @@ def _find_pieces(solid: Solid, setup: BoundaryConditions) -> list[np.ndarray]:
 
 
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    """Return whether the ``fixed`` displacements (d nodes,) prevent all rigid-body modes.
+    """Return whether the ``fixed`` displacements prevent all rigid-body modes of all pieces.
 
-    A piece that is supported also supports other pieces at common nodes.
+    ``fixed`` is a mask of shape (d nodes,). ``pieces`` contains the nodes of each piece. A
+    supported piece also supports other pieces at their common nodes.
     """
     constrained, waiting = fixed.copy(), list(pieces)
     while waiting:
@@ -434,9 +454,10 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
     return True
 
 
-FRONT_FACE, BACK_FACE = "front_face", "back_face"  # ports of the pressure above and below a body
-# Lower and upper ends [m] of a box along each axis. If ends are equal, the box is a face, an edge
-# or a point.
+# names of the ports of the pressure above and below a body
+FRONT_FACE, BACK_FACE = "front_face", "back_face"
+# Lower and upper end [m] of a box along each axis. If both ends are equal along one, two or all
+# axes, the box is a face, an edge or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
 
 
@@ -444,8 +465,8 @@ Box: TypeAlias = tuple[tuple[float, float], ...]
 class RadiatingFace:
     """Part of the surface that radiates sound.
 
-    The face consists of the outer faces of elements in ``box`` whose normals point ``upward``, or
-    downward.
+    The radiating face consists of the elements' outer faces in ``box``. Their outward normals point
+    up if ``upward`` is true, otherwise down.
     """
 
     box: Box
@@ -454,9 +475,9 @@ class RadiatingFace:
 
 @dataclass(frozen=True)
 class Block:
-    """Box of one poled material.
+    """Box that consists of one poled material.
 
-    Blocks whose materials have the same name are treated as one material in reports.
+    Reports treat materials of the same name as one material.
     """
 
     box: Box
@@ -471,24 +492,27 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class BondedBlocks:
-    """Blocks of material that are bonded where they touch, with their supports.
-
-    Where two blocks overlap, the later block replaces the earlier block.
+    """Body of blocks that are bonded where they touch, with electrodes, ports and supports.
 
     Attributes
     ----------
-    electrodes : faces of the electrode of each pin; voltages are relative to the ``cathode``.
-    floating : faces of each electrode without a pin, which has no charge.
-    ports : face or point of each mechanical port; the output is the mean upward displacement, and
-        the force is uniform.
-    fixed : boxes and the axes along which they are fixed, such as ``"xz"``; in a body of
-        revolution, x is the radius.
-    masses : masses [kg] that are spread over faces.
-    faces : ports of the pressure on parts of the surface.
+    blocks : blocks of material; a later block replaces an earlier block where they overlap.
+    electrodes : faces that form the electrode of each pin; voltages are relative to the pin
+        ``cathode``.
+    floating : faces that form each floating electrode, which has no pin and no net charge.
+    ports : face or point of each mechanical port. The force of the port is uniform over the face,
+        and the output is the mean upward displacement.
+    fixed : axes along which displacements are fixed, such as ``"xz"``, and the box in which they
+        are fixed; in a body of revolution, x is the radius.
+    masses : masses [kg], and the face over which each mass is distributed.
+    faces : parts of the surface on which the pressure of each acoustic port acts.
     moved : whether the model has the port ``base``, the upward acceleration of the support.
-    grid : lines along each axis; without a grid, the largest cell has the ``size`` [m], and each
-        cell is divided by ``refine``.
-    like : body of the same blocks with other sizes, whose mesh is reused with displaced nodes.
+    grid : positions [m] of the grid lines along each axis; by default, the grid follows from
+        ``size`` and ``refine``.
+    size : largest size [m] of a cell before ``refine`` is applied.
+    refine : number of parts into which each cell is divided along each axis.
+    like : body of the same blocks with other sizes; its mesh is reused with displaced nodes.
+    damping : damping of the body.
     where : name of the part for error messages.
     """
 
@@ -524,9 +548,9 @@ class BondedBlocks:
 
     @property
     def rated(self) -> float | None:
-        """Voltage [V] at which a ceramic reaches its depoling field, None if unknown.
+        """Voltage [V] at which a ceramic of the body reaches its depoling field, None if unknown.
 
-        If the electrodes between ceramics float, all ceramics have the same field.
+        If there are floating electrodes between the ceramics, all ceramics have the same field.
         """
         limits, thicknesses = [], []
         for block in self.blocks:
@@ -543,9 +567,9 @@ class BondedBlocks:
 
         Raises
         ------
-        UsageError : electrodes touch each other; a material of a body of revolution is not
-        isotropic
-            about the axis; or the sequence of edges along an axis differs from :attr:`like`.
+        UsageError : electrodes touch each other, a material of a body of revolution is not
+            isotropic about the axis, or the sequence of edges along an axis differs from
+            :attr:`like`.
         """
         grid = self.grid or self._divide_axes()
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
@@ -554,7 +578,10 @@ class BondedBlocks:
             return make_device(solid, self._make_setup(solid, near))
 
     def _divide_axes(self) -> list[np.ndarray]:
-        """Divide each axis at all edges of blocks, and into equal cells between the edges."""
+        """Return the positions [m] of the grid lines along each axis.
+
+        Each axis is divided at all edges of the body, and into equal cells between these edges.
+        """
         model = self if self.like is None else self.like
         result = []
         for edges, model_edges in zip(self._list_edges(), model._list_edges(), strict=True):
@@ -576,7 +603,10 @@ class BondedBlocks:
         return result
 
     def _list_edges(self) -> np.ndarray:
-        """Return the ends (axes, edges) of all blocks, electrodes, supports and ports."""
+        """Return the ends of all blocks, electrodes, supports and ports along each axis [m].
+
+        The array has the shape (axes, edges).
+        """
         boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
         boxes += map(itemgetter(1), self.fixed)
         boxes += chain(*self.electrodes.values(), *self.floating)
@@ -597,7 +627,7 @@ class BondedBlocks:
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
     def _make_setup(self, solid: Solid, near: float) -> BoundaryConditions:
-        """Return the boundary conditions of the blocks."""
+        """Make the boundary conditions of the blocks on the mesh ``solid``."""
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
 
         def mask_inside(box: Box) -> np.ndarray:
@@ -641,7 +671,10 @@ class BondedBlocks:
 
 
 def list_outer_faces(box: Box) -> dict[str, RadiatingFace]:
-    """Return the radiating faces on the upper and lower side of a plate that fills ``box``."""
+    """Return the radiating faces on the upper and the lower side of a plate.
+
+    The plate fills the ``box``. The keys are the names of the ports.
+    """
     return {
         FRONT_FACE: RadiatingFace(box, upward=True),
         BACK_FACE: RadiatingFace(box, upward=False),
@@ -649,7 +682,7 @@ def list_outer_faces(box: Box) -> dict[str, RadiatingFace]:
 
 
 def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
-    """Return the facets of a radiating face."""
+    """Return the numbers of the facets that form a radiating face."""
     inside = solid.mesh.facets_satisfying(
         lambda x: _mask_inside_box(face.box, x, near), boundaries_only=True
     )
@@ -658,13 +691,20 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
 
 
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sort edges, merge edges that differ only by rounding errors, and number each edge."""
+    """Sort the positions of edges, and merge positions that differ only by rounding errors.
+
+    Return the sorted positions, and the index of each edge among them.
+    """
     points = np.unique(edges)
     points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
 def _mask_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points (d, …) inside a box or on its boundary."""
+    """Return a mask of the ``places`` that are inside a box or on its boundary.
+
+    ``places`` are points of shape (d, …). Points are on the boundary if their distance to it is
+    less than ``near`` [m].
+    """
     low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
     return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

@@ -1,18 +1,20 @@
 """Correction of the mesh error of a body's responses by additional cubic shape functions.
 
-The functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f``, ``S = [[K, C],
-[C', -P]]`` of displacements and potentials w. The residual of a static response w of the mesh is
-``r = f - S w``, and the correction e is the solution of ``S e = r``. With the corrections e_v of
-the response to a voltage and e_p of the response to a force,
+The cubic functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f`` of the
+displacements and potentials w, where ``S = [[K, C], [C', -P]]``. For a static response w of the
+mesh without these functions, the residual is ``r = f - S w``. The correction e of this response is
+the solution of ``S e = r``. From the correction e_v of the response to a voltage, and the
+correction e_p of the response to a force, the corrections of capacitance, stroke and compliance are
 
-    dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p
+    dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p.
 
-are the corrections of capacitance, stroke and compliance. A mode gets the nearest eigenvalue. All
-corrections are in one space of few vectors (Galerkin, Rayleigh-Ritz). This space is extended by
-solutions for the residuals, alternately with the additional functions alone and with the mesh
-alone. If a support or electrode fixes all nodes of an edge or face, it also fixes the functions of
-this edge or face. Loads on the additional functions are neglected. Sources: R. E. Bank and R. K.
-Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
+The corrected frequency of a mode is that of the eigenvector that is nearest to the mode. All
+corrections are computed in one space of few vectors (Galerkin, Rayleigh-Ritz). The space is
+extended by solutions for the residuals, alternately in the additional functions alone and in the
+mesh alone. If a support or electrode fixes all nodes of an edge or face, it also fixes the
+additional functions of this edge or face. Loads on the additional functions are neglected. Sources:
+R. E. Bank and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta
+Numerica 10 (2001) 1.
 """
 
 from __future__ import annotations
@@ -34,12 +36,14 @@ from kc2spice.fem.enrichment import (
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
 
-MAX_ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
-CONVERGED_CHANGE = 0.1  # relative change of the corrections in a round that ends the iteration
-# smallest share of a vector outside of the span of others; vectors below this share are omitted
+# largest number of rounds; each round corrects in the additional functions and then in the mesh
+MAX_ROUNDS = 4
+# the iteration ends after a round in which the relative change of the corrections is at most this
+CONVERGED_CHANGE = 0.1
+# A vector is omitted from a basis if less than this share of it is outside of the basis's span.
 DEPENDENCE_LIMIT = 1e-8
 
-# displacements and potentials, with one column per solution
+# displacements and potentials of solutions, or forces and charges; one column for each solution
 Pair = tuple[np.ndarray, np.ndarray]
 
 
@@ -47,15 +51,15 @@ Pair = tuple[np.ndarray, np.ndarray]
 class Corrections:
     """Corrections of modes and static responses by additional shape functions.
 
-    ``frequencies`` (k,) are relative changes of the frequencies of modes. ``products`` (a, a) are
-    the energy products ``e_i' S e_j`` of the corrections of static responses.
+    ``frequencies`` (k,) are the relative changes of the frequencies of k modes. ``products`` (a, a)
+    are the energy products ``e_i' S e_j`` of the corrections of a static responses.
     """
 
     frequencies: np.ndarray
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Return whether the frequencies and energies of two corrections differ little."""
+        """Return whether the frequencies and the energies of two corrections are nearly equal."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -69,9 +73,11 @@ def correct_responses(
     sectors: int = 1,
     rounds: int = MAX_ROUNDS,
 ) -> Corrections:
-    """Compute corrections of the modes, and of the responses to voltages and to a force.
+    """Compute corrections of the modes, and of the static responses to voltages and to a force.
 
-    The responses have this sequence in the result. The model represents ``sectors`` equal solids.
+    In ``products``, the responses to voltages precede the response to a force. The body consists of
+    ``sectors`` equal solids, of which one is meshed. ``rounds`` is the largest number of rounds of
+    the iteration.
     """
     model, modes = enrich_model(device, answers.solve, sectors), answers.modes
     z = np.hstack([modes, answers.static, answers.pushed])
@@ -97,7 +103,11 @@ def correct_responses(
 
 
 class BlockMatrix(NamedTuple):
-    """Matrix of four sparse blocks: unknowns of the mesh, then unknowns of additional functions."""
+    """Matrix of four sparse blocks.
+
+    The first rows and columns are for the unknowns of the mesh. The last rows and columns are for
+    the unknowns of the additional functions.
+    """
 
     mesh: sparse.sparray
     right: sparse.sparray
@@ -117,13 +127,13 @@ class BlockMatrix(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnrichedModel:
-    """Finite-element model with additional shape functions.
+    """Finite-element model with additional cubic shape functions.
 
-    The matrices K, C and P are defined in the docstring of the module. M is the mass matrix.
+    The docstring of the module defines the matrices K, C and P. M is the mass matrix.
 
-    ``operators`` are the matrices of the additional functions. ``factors`` are the factors of their
-    blocks of K and P, or None without functions. The function ``solve_at_rest`` multiplies by
-    ``(K + shift M)^-1`` of the mesh.
+    ``operators`` are the matrices of the additional functions. ``factors`` are the factorised
+    blocks of K and P of these functions; a factor is None if its block is empty. The function
+    ``solve_at_rest`` multiplies by ``(K + shift M)^-1`` of the mesh.
     """
 
     device: FiniteElementModel
@@ -136,9 +146,12 @@ class EnrichedModel:
     solve_at_rest: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend responses z (n, k) under voltages (e, k) by potentials, and compute residuals.
+        """Extend responses of the mesh to all unknowns, and compute their static residuals.
 
-        The residuals belong to static responses.
+        ``z`` of shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e,
+        k). Return two pairs of arrays with k columns. The first pair contains the displacements and
+        potentials of the responses, which are zero in the additional functions. The second pair
+        contains the residuals of the equations of displacements and potentials.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
@@ -153,7 +166,9 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the additional functions alone, with one iteration of C between K and P."""
+        """Solve for the unknowns of the additional functions while those of the mesh are zero.
+        The coupling C between displacements and potentials is included by one iteration.
+        """
         (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
@@ -163,7 +178,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the mesh alone."""
+        """Solve for the unknowns of the mesh while those of the additional functions are zero."""
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, Schur):
             q = K.inner.solve(q)
@@ -174,7 +189,7 @@ class EnrichedModel:
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
-        """Split displacements and potentials into the parts of the mesh and of the functions."""
+        """Split displacements and potentials into the rows of the mesh and of the functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
 
@@ -184,9 +199,10 @@ def enrich_model(
     solve_at_rest: Callable[[np.ndarray], np.ndarray],
     sectors: int = 1,
 ) -> EnrichedModel:
-    """Add cubic functions to the model of a device.
+    """Add cubic shape functions to the model of a device.
 
-    The function ``solve_at_rest`` multiplies by ``(K + shift M)^-1``.
+    The function ``solve_at_rest`` multiplies by ``(K + shift M)^-1`` of the mesh. The device
+    consists of ``sectors`` equal solids, of which one is meshed.
     """
     model, enrichment = device.model, make_enrichment(device.solid)
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
@@ -208,7 +224,7 @@ def enrich_model(
 
 
 def _get_mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
-    """Return the blocks K, C and P of the stiffness of a mesh."""
+    """Return the blocks K, C and P of the stiffness matrix of a mesh."""
     if isinstance(K, Schur):
         return K.uu, K.up, -K.pp
     return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
@@ -222,7 +238,11 @@ def _factorise(matrix: sparse.csr_array) -> Factor | None:
 def _find_free_functions(
     device: FiniteElementModel, enrichment: Enrichment
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of free displacements (functions, d) and free potentials (functions,)."""
+    """Return masks of the additional functions that are free unknowns.
+
+    The first mask is for displacements and has the shape (functions, d). The second mask is for
+    potentials and has the shape (functions,).
+    """
     solid, count = device.solid, enrichment.count
     nodes = solid.basis(1).element_dofs
     free_nodes = _mask_separate_unknowns(device.displacement).reshape(-1, solid.components)
@@ -236,7 +256,10 @@ def _find_free_functions(
 
 
 def _mask_separate_unknowns(prolongation: sparse.csc_array) -> np.ndarray:
-    """Return a mask of the nodal values that are independent unknowns of the model."""
+    """Return a mask of the nodal values that are independent unknowns of the model.
+
+    ``prolongation`` is the matrix that maps the unknowns of the model to nodal values.
+    """
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
     result = np.diff(rows.indptr) == 1
@@ -245,7 +268,10 @@ def _mask_separate_unknowns(prolongation: sparse.csc_array) -> np.ndarray:
 
 
 def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
-    """Return the number of the electrode (nodes,) of each node, -1 for free potentials."""
+    """Return the electrode number of each node, an array of shape (nodes,).
+
+    The number is -1 at nodes with a free potential.
+    """
     rows = sparse.csr_array(device.potential)
     column = np.full((rows.shape[0], 1), -1.0)
     tied = np.diff(rows.indptr) == 1
@@ -259,10 +285,10 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
 
 
 class _CorrectionSpace:
-    """Spaces of displacements and of potentials that contain the corrections.
+    """Spaces of displacements and of potentials in which the corrections are computed.
 
-    The basis vectors are orthonormal. The first vectors are ``rigid`` modes and the shapes of other
-    modes. The products of the matrices with the vectors are stored.
+    The basis vectors are orthonormal. The first basis vectors span the ``rigid`` modes and the
+    ``shapes`` of the other modes. The products of the basis vectors with K, M, C and P are stored.
     """
 
     def __init__(self, model: EnrichedModel, rigid: np.ndarray, shapes: Pair) -> None:
@@ -285,7 +311,11 @@ class _CorrectionSpace:
         self.Cp, self.Pp = np.hstack([self.Cp, model.C @ p]), np.hstack([self.Pp, model.P @ p])
 
     def solve_ritz(self) -> tuple[np.ndarray, Pair]:
-        """Compute the eigenvalues (k,) of the modes in the space, and weights of the vectors."""
+        """Compute the eigenvalues of the k modes in the space.
+
+        Return the eigenvalues of shape (k,), and the weights of the basis vectors in the
+        eigenvectors: displacements and potentials with k columns.
+        """
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
         C, P = self.u.T @ self.Cp, self.p.T @ self.Pp
@@ -297,9 +327,11 @@ class _CorrectionSpace:
         return values[nearest], (vectors[:, nearest], X @ vectors[:, nearest])
 
     def solve_galerkin(self, loads: Pair) -> Pair:
-        """Compute the weights of the vectors in the corrections of static responses.
+        """Compute the corrections of static responses in the space.
 
-        The loads must not move the body as a rigid body.
+        Return the weights of the basis vectors of displacements and of potentials, with one column
+        for each load. The ``loads`` are residuals. They must not accelerate the body as a rigid
+        body.
         """
         elastic = self.u[:, self.rigid :]
         r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
@@ -310,13 +342,17 @@ class _CorrectionSpace:
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
     def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
-        """Return the changes of ``eigenvalues``, and the energy products of static corrections."""
+        """Return the corrections of the modes and of the static responses.
+
+        ``eigenvalues`` are those of the modes before the correction. ``loads`` are the residuals of
+        the static responses.
+        """
         u, p = self.solve_galerkin(loads)
         products = loads[0].T @ (self.u @ u) + loads[1].T @ (self.p @ p)
         return Corrections(np.sqrt(self.solve_ritz()[0] / eigenvalues) - 1, products)
 
     def compute_residuals(self, loads: Pair) -> Pair:
-        """Compute the residuals of modes and static corrections."""
+        """Compute the residuals of the corrected modes and of the corrected static responses."""
         values, (mode_u, mode_p) = self.solve_ritz()
         u, p = self.solve_galerkin(loads)
         return (
@@ -331,7 +367,7 @@ class _CorrectionSpace:
 
 
 def _solve_definite(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a system with a symmetric positive definite matrix."""
+    """Solve a linear system with a symmetric positive definite matrix."""
     if not matrix.size:
         return right
     return np.asarray(linalg.cho_solve(linalg.cho_factor((matrix + matrix.T) / 2), right))

@@ -1,7 +1,7 @@
 """Difference between the motions of a radiating face and of a piston, and the effect on sound.
 
-An acoustic port represents a face only by its volume velocity. With the normal velocity v, the
-surface S and the wave number k, a face in an infinite baffle has the far field
+An acoustic port represents a face only by its volume velocity. A face in an infinite baffle has the
+surface S and the normal velocity v. At the wave number k, its pressure in the far field is
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
@@ -15,14 +15,15 @@ a baffle is ``k / 2 int v g dS / int v dS``. Here ``g = (4 / pi) (a^2 - r^2)^1/2
 difference across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed.,
 section 102).
 
-In a closed volume, the mean of v compresses the fluid. The other part of v is a sum of the cross
-modes of the volume, ``v = sum v_n psi_n``, which do not propagate below their cut-off. In a
-cylinder of depth h with cross wave numbers kappa_n, the near field of these modes has the mass
+In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
+mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
+propagate below their cut-off frequencies. In a cylinder of depth h with cross wave numbers kappa_n,
+the near field of these modes has the mass
 
     sum_n rho |v_n|^2 coth(g_n h) / g_n <= rho coth(g_1 h) / g_1 int |v - mean|^2 dS,
 
-with ``g_n^2 = kappa_n^2 - k^2``. Here v is the normal velocity for a motion of the body with unit
-amplitude.
+with ``g_n^2 = kappa_n^2 - k^2``. In this formula, v is the normal velocity for a motion of the body
+with unit amplitude.
 """
 
 from __future__ import annotations
@@ -36,11 +37,12 @@ from scipy.special import j0, j1
 
 from kc2spice.bodies.undamped import FiniteElementModel
 
-FACE_QUADRATURE = 5  # degree of exact integration on a face
-# First cross wave number of a cylinder times its radius, keyed by whether the motion is
-# axisymmetric: the first positive zeros of J1'(x) and of J1(x).
+FACE_QUADRATURE = 5  # highest polynomial degree that is integrated exactly over a face
+# Product of a cylinder's radius and its lowest cross wave number: the first positive zero of
+# J1'(x), and for axisymmetric motions (key True) the first positive zero of J1(x).
 CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
-# numbers of directions over a half-space; for k a = 20, 30 polar angles would be enough
+# Numbers of directions at which the far field in a half-space is sampled. At k a = 20, 30 polar
+# angles would be enough.
 POLAR_ANGLES, AZIMUTHS = 48, 32
 
 
@@ -50,8 +52,9 @@ class FaceMotion:
 
     Attributes
     ----------
-    places : positions (d, points) [m]; radius and height for a body of revolution.
-    areas : surface (points,) [m^2] that each point represents.
+    places : positions (d, points) [m] of the integration points; radius and height for a body of
+        revolution.
+    areas : area (points,) [m^2] that each integration point represents.
     normal : displacement (points, motions) along the outward normal.
     axis : unit vector (d,) of the face's mean outward normal.
     axisymmetric : whether the body is a body of revolution.
@@ -70,33 +73,42 @@ class FaceMotion:
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Volumes (motions,) that the face displaces in each motion."""
+        """Volume that the face displaces in each motion, an array of shape (motions,)."""
         return np.asarray(self.areas @ self.normal)
 
     @property
     def piston_ratios(self) -> np.ndarray:
-        """Ratios (motions,) of the mean normal velocity to its rms value; 1 for a piston."""
+        """Ratio of the face's mean normal velocity to its rms value for each motion.
+
+        The array has the shape (motions,). The ratio of a piston is 1.
+        """
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
 
     @property
     def peak_ratios(self) -> np.ndarray:
-        """Ratios (motions,) of the largest normal displacement to its mean; 1 for a piston."""
+        """Ratio of the face's largest normal displacement to its mean for each motion.
+
+        The array has the shape (motions,). The ratio of a piston is 1.
+        """
         mean = np.abs(self.volumes) / self.area
         return np.asarray(np.abs(self.normal).max(axis=0) / np.where(mean > 0, mean, np.inf))
 
     @cached_property
     def _plane(self) -> np.ndarray:
-        """Coordinates (2, points) in the plane of the face, relative to its centre."""
+        """Coordinates of the integration points in the plane of the face, relative to its centre.
+
+        The array has the shape (2, points).
+        """
         centre = self.places @ self.areas / self.area
         first = np.linalg.svd(self.axis[None])[2][1:]
         return np.asarray(first @ (self.places - centre[:, None]))
 
     def compute_far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
-        """Return the far-field integral ``F`` (angles, azimuths, motions) of the normal velocity.
+        """Return the far-field integral ``F`` of the normal displacement.
 
-        ``F`` is defined in the module docstring. ``sines`` are the sines of the angles from the
-        axis.
+        ``F`` is defined in the module docstring; the array has the shape (angles, azimuths,
+        motions). ``sines`` are the sines of the angles between the directions and the face's axis.
         """
         if self.axisymmetric:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
@@ -107,10 +119,10 @@ class FaceMotion:
         return np.asarray(kernel @ (self.areas[:, None] * self.normal))
 
     def compute_power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
-        """Return ratios (motions,) of the radiated power to the power of a piston.
+        """Return the ratio of the face's radiated power to the power of a piston for each motion.
 
-        The piston has a ``radius`` [m] and the same volume velocity. Both are in an infinite
-        baffle.
+        The piston has the ``radius`` [m] and the same volume velocity as the face. Face and piston
+        are in an infinite baffle. The array has the shape (motions,).
         """
         cosines, weights = np.polynomial.legendre.leggauss(POLAR_ANGLES)
         cosines, weights = (cosines + 1) / 2, weights / 2
@@ -122,10 +134,11 @@ class FaceMotion:
         return np.asarray(power / (piston * self.volumes**2))
 
     def bound_near_field_masses(self, depth: float, wave_number: float) -> np.ndarray:
-        """Return bounds of the masses (motions,) that the near field adds to the motions.
+        """Return an upper bound of the mass that the near field adds to each motion.
 
-        The masses are for a fluid of density 1, which fills a cylinder of this ``depth`` [m] in
-        front of the face. If cross modes of the cylinder propagate, the mass is infinite.
+        The fluid has the density 1 and fills a cylinder of the ``depth`` [m] in front of the face.
+        If a cross mode of the cylinder propagates, the bound is infinite. The array has the shape
+        (motions,).
         """
         radius = np.sqrt(self.area / np.pi)
         cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
@@ -136,9 +149,10 @@ class FaceMotion:
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
     def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
-        """Return ratios (motions,) of the pressures on the axis without and with a baffle.
+        """Return the ratio of the far field without a baffle to the far field with a baffle.
 
-        The formula in the module docstring is valid for a thin body of revolution and small k a.
+        The ratio is for the sound pressure on the axis of a thin body of revolution, for small k a;
+        the formula is in the module docstring. The array has the shape (motions,).
         """
         square = self.area / np.pi - self.places[0] ** 2
         potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))
@@ -147,7 +161,11 @@ class FaceMotion:
 
 
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
-    """Return the normal displacement on facets for motions z (n, motions) of a full model."""
+    """Return the normal displacement of a face in several motions of a full model.
+
+    ``facets`` are the numbers of the face's facets. ``z`` of shape (n, motions) contains the
+    unknowns of the model for each motion.
+    """
     solid = device.solid
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     places = np.asarray(basis.global_coordinates())

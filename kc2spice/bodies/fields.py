@@ -1,12 +1,12 @@
-"""Stress and electric field in a body under the port waveforms of a run.
+"""Stress and electric field in a body during a run, computed from the waveforms at its ports.
 
-A run computes the waveforms of the ports. For these waveforms, the motion of the body is computed
-with a projection of the full model on a Krylov basis V. The modes of the projected model are
-integrated exactly for inputs that are linear between samples. Therefore, z = V x is the response of
-the full model, for the waveforms of any simulator.
+A run in any simulator yields the waveforms at the ports. For these waveforms, the motion of the
+body is computed with a projection of the full model on a Krylov basis V. The modes of the projected
+model are integrated exactly for inputs that are linear between samples. The unknowns z of the full
+model are ``z = V x`` for the unknowns x of the projected model.
 
-Strain S, electric field E and stress T are computed from the displacement u and the potential phi
-in each element separately, so that stresses may jump between materials:
+In each element, strain S, electric field E and stress T are computed from the displacement u and
+the potential phi. Therefore, stresses may jump between materials:
 
     S = B u,   E = -grad phi,   T = C S - e' E
 """
@@ -31,17 +31,19 @@ from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.pencil import congruence
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
-BASIS_SIZE = 40
-# largest frequency of a rigid-body mode by rounding errors, relative to the highest frequency
+BASIS_SIZE = 40  # number of vectors of the Krylov basis
+# Rounding errors give rigid-body modes a frequency above zero. This is the largest such frequency,
+# relative to the highest frequency of all modes.
 ZERO_FREQUENCY_RATIO = 1e-6
 # Smallest phase [rad] of an elastic mode over the whole run. A mode with a smaller phase counts as
 # a rigid-body mode.
 MIN_PHASE = 1e-4
-# Smallest number of instants at which extremes are searched, and largest product of points and
-# instants. Half of the instants are equally spaced, half have the largest energy.
+# Smallest number of instants at which extremes are searched, and the product of points and instants
+# up to which more instants are searched. Half of the instants are equally spaced in time. The other
+# half are the samples with the largest energy.
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
-CHUNK_SIZE = 20
+CHUNK_SIZE = 20  # number of instants at which fields are evaluated at once
 # meshio cell type of each element
 _VTK_CELLS = {
     "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
@@ -51,7 +53,10 @@ _VTK_CELLS = {
 
 @dataclass(frozen=True, eq=False)
 class NodalMotion:
-    """Motion ``z(t) = basis @ states[t]`` of a body under the ``inputs`` of its ports."""
+    """Motion of a body under the ``inputs`` at its ports.
+
+    The unknowns of the full model are ``basis @ states[k]`` at the sample ``time[k]``.
+    """
 
     device: FiniteElementModel
     time: np.ndarray
@@ -61,12 +66,15 @@ class NodalMotion:
 
     @property
     def voltages(self) -> np.ndarray:
-        """Voltages (times, e) of the electrical ports."""
+        """Voltages of the electrical ports, an array with one row for each sample."""
         ports = self.device.model.ports
         return self.inputs[:, [port.electrical for port in ports]]
 
     def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
+        """Return unknowns and voltages of the body at the sample nearest to ``instant`` [s].
+
+        The unknowns z of the full model have the shape (n,), and the voltages the shape (e,).
+        """
         k = int(np.argmin(np.abs(self.time - instant)))
         return self.basis @ self.states[k], self.voltages[k]
 
@@ -74,10 +82,11 @@ class NodalMotion:
 def recover_motion(
     device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
 ) -> NodalMotion:
-    """Compute the motion of a body under ``inputs`` in SI units at the times ``time``.
+    """Compute the motion of a body that the waveforms at its ports cause.
 
-    ``inputs`` maps names of ports to waveforms. Other ports have no input. The body starts in
-    equilibrium with the first values.
+    ``inputs`` maps names of ports to waveforms in SI units at the times ``time`` [s]. Ports that
+    are not in ``inputs`` have no input. The body starts in equilibrium with the first values of the
+    waveforms.
 
     Raises
     ------
@@ -102,8 +111,8 @@ def compute_lowest_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the lowest modes that the ports excite, with shorted electrodes.
 
-    The results are at most ``count`` frequencies [Hz] below ``end``, and the displacements (n,
-    modes). Rigid-body modes are omitted.
+    Return at most ``count`` frequencies [Hz] below the frequency ``end`` [Hz], and the unknowns of
+    the modes, an array of shape (n, modes). Rigid-body modes are omitted.
     """
     basis, omega, _ = _compute_modes(device, np.inf)
     selected = np.flatnonzero(
@@ -118,8 +127,10 @@ def _compute_modes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the modes of the projected model, their frequencies and damping.
 
-    The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
-    diagonal of the modal damping matrix; coupling of modes by damping is neglected.
+    Return the mass-normalised modes of shape (n, q), their frequencies [rad/s] of shape (q,), and
+    their damping [1/s] of shape (q,). The damping is the diagonal of the modal damping matrix.
+    Coupling of modes by damping is neglected. A rigid-body mode gets a frequency whose phase over
+    the duration ``span`` [s] is negligible.
     """
     model, V = device.model, _make_basis(device)
     K, E, M = model.pencil.project(V).coefficients
@@ -129,7 +140,10 @@ def _compute_modes(
 
 
 def _make_basis(device: FiniteElementModel) -> np.ndarray:
-    """Make a Krylov basis (n, q) that contains the lowest modes that the ports excite."""
+    """Make a Krylov basis that contains the lowest modes that the ports excite.
+
+    Return q basis vectors as the columns of an array of shape (n, q).
+    """
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
     return compute_block_krylov_basis(
@@ -144,7 +158,7 @@ def _make_basis(device: FiniteElementModel) -> np.ndarray:
 def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
     """Project the model on a Krylov basis that contains the lowest modes that the ports excite.
 
-    The result has all ports and all losses of the model.
+    The projected model has all ports and all losses of the full model.
     """
     model, V = device.model, _make_basis(device)
     pencil = model.pencil.project(V)
@@ -164,16 +178,17 @@ def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
 
 
 class FieldProbe:
-    """Evaluation of fields at the same points of every element.
+    """Evaluation of stress and electric field at the same local points of every element.
 
-    The points are the nodes of the element, or its Gauss points.
+    The points are the nodes of the element, or its Gauss points if ``gauss`` is true.
     """
 
     def __init__(self, device: FiniteElementModel, *, gauss: bool) -> None:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
-        # strains are most accurate at this point, and undefined at a collapsed edge
+        # In linear elements, strains are most accurate at the Gauss points. They are undefined at
+        # the nodes of a collapsed edge.
         if solid.order == 1:
             local = 0.5 + (local - 0.5) / np.sqrt(3)
         nodes = (local.T, np.ones(len(local)))
@@ -184,11 +199,19 @@ class FieldProbe:
     def compute_nodal_values(
         self, z: np.ndarray, voltages: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacements and potentials at the nodes."""
+        """Return the displacements and the potentials at the nodes of the body.
+
+        The arguments and the arrays are those of :meth:`FiniteElementModel.compute_nodal_values`.
+        """
         return self.device.compute_nodal_values(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute stress (points, 6, k) and electric field (points, 3, k) from nodal values."""
+        """Compute stress and electric field from nodal displacements and potentials.
+
+        Each of the k columns of ``u`` and ``phi`` is one state of the body. Return the stress in
+        Voigt order, an array of shape (points, 6, k), and the electric field of shape (points, 3,
+        k).
+        """
         solid, nodes = self.device.solid, self.basis.element_dofs.T
         d = solid.components
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -212,11 +235,12 @@ class FieldProbe:
 def evaluate_at_nodes(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Evaluate all fields at the nodes of the elements, element by element.
+    """Evaluate displacement, potential, electric field and stress at the nodes of each element.
 
-    The arguments are the unknowns z (n,) and the voltages (e,). The result contains
-    ``displacement`` (points, 3) [m], ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and
-    ``stress`` (points, 6) [Pa] in Voigt order. ``material`` is the number of the material.
+    The arguments are the unknowns z of shape (n,) and the voltages of shape (e,). Return arrays
+    with one row for each node of each element, keyed by name: ``displacement`` (points, 3) [m],
+    ``potential`` (points,) [V], electric ``field`` (points, 3) [V/m], and ``stress`` (points, 6)
+    [Pa] in Voigt order. ``material`` (points,) is the index of the element's material.
     """
     probe = FieldProbe(device, gauss=False)
     u, phi = probe.compute_nodal_values(z[:, None], voltages[:, None])
@@ -229,15 +253,16 @@ def evaluate_at_nodes(
 
 
 def compute_largest_principal_stress(stress: np.ndarray) -> np.ndarray:
-    """Return the largest principal stress of Voigt stresses (..., 6).
+    """Return the largest principal stress of each stress tensor.
 
-    It is computed as the trigonometric solution of the cubic characteristic equation.
+    ``stress`` contains tensors in Voigt order, an array of shape (..., 6). The largest principal
+    stress is the trigonometric solution of the cubic characteristic equation.
     """
     xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
     parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
     size = np.abs(parts).max(axis=0)
-    # without scaling, cubes of very small stresses would underflow
+    # the stresses are scaled, because cubes of very small stresses would underflow
     a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)
     radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
     determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
@@ -246,7 +271,8 @@ def compute_largest_principal_stress(stress: np.ndarray) -> np.ndarray:
     return np.asarray(mean + 2 * size * radius * np.cos(angle))
 
 
-# Quantities that are evaluated in each material: unit, and name of the material's limit.
+# Quantities whose extremes are searched in each material, with their unit and with the attribute of
+# the material that contains the limit of the quantity.
 FIELD_QUANTITIES = {
     "principal_stress": ("Pa", "tensile_strength"),
     "electric_field": ("V/m", "breakdown_field"),
@@ -256,11 +282,11 @@ FIELD_QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Extreme(EqualByContent):
-    """Largest value of one of :data:`FIELD_QUANTITIES` in one material over time.
+    """Largest value during a run of one of :data:`FIELD_QUANTITIES` in one material.
 
-    The ``value`` occurs at ``instant`` [s] and ``place`` [m]. ``curve`` (instants,) contains the
-    largest value in the material at each instant of ``time``. ``limit`` is the limit of the
-    material, None if unknown.
+    The largest ``value`` occurs at the ``instant`` [s] at the point ``place`` [m]. ``curve``
+    contains the largest value in the material at each instant of ``time``. ``limit`` is the
+    material's limit of the quantity, None if unknown.
     """
 
     material: str
@@ -275,13 +301,13 @@ class Extreme(EqualByContent):
 
 
 def find_extremes(motion: NodalMotion) -> list[Extreme]:
-    """Find the extreme values in each material.
+    """Find the largest stress and electric field in each material during a run.
 
-    The extremes are the largest principal stress, and in piezoelectric materials the largest
-    electric field and the largest field against the poling.
+    In every material, the extreme is the largest principal stress. In piezoelectric materials, it
+    is also the largest electric field and the largest field against the poling direction.
 
-    The extremes are searched at Gauss points. At re-entrant corners and edges of clamps, the stress
-    of linear elasticity grows without bound as the mesh is refined.
+    The extremes are searched at the Gauss points. At re-entrant corners and at edges of clamps, the
+    stress of linear elasticity grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
     selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))
@@ -323,7 +349,11 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
 def _evaluate_quantity(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Compute one of :data:`FIELD_QUANTITIES` (states, points) from stress and electric field."""
+    """Compute one of :data:`FIELD_QUANTITIES` from stress and electric field.
+
+    ``T`` and ``E`` contain the stress and the electric field at each point for a unit value of each
+    state. Return an array of shape (states, points).
+    """
     if quantity == "principal_stress":
         return compute_largest_principal_stress(np.moveaxis(T @ states.T, -1, 0))
     field = np.moveaxis(E @ states.T, -1, 0)
@@ -333,7 +363,11 @@ def _evaluate_quantity(
 
 
 def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
-    """Choose samples at equal distances in time, and samples with the highest energy."""
+    """Choose the samples at which extremes are searched.
+
+    Half of the ``count`` samples are equally spaced in time. The other half have the highest
+    elastic and electric energy.
+    """
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
     energy = energy / (energy.max() or 1.0)
@@ -344,17 +378,17 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
-    """Write displacement, potential, field and stresses to a VTU file, in SI units."""
+    """Write displacement, potential, electric field and stresses to a VTU file, in SI units."""
     data = evaluate_at_nodes(device, z, voltages)
     data["principal_stress"] = compute_largest_principal_stress(data["stress"])
     write_nodal_values(path, device.solid, data)
 
 
 def write_nodal_values(path: Path, solid: Solid, values: Mapping[str, np.ndarray]) -> None:
-    """Write values at the nodes of every element (points, …) to a VTU file.
+    """Write values at the nodes of each element to a VTU file.
 
-    The file contains a node once for each element at the node, because values can jump between
-    elements.
+    ``values`` maps names to arrays with one row for each node of each element. The file contains a
+    shared node once for each of its elements, because values can jump between elements.
     """
     import meshio
     from skfem.io.meshio import HEX_MAPPING

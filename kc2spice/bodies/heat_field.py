@@ -1,7 +1,8 @@
-"""Temperatures inside a body under the heat flows of a run.
+"""Temperatures inside a body during a run, computed from the heat flows into its ports.
 
-The full model is projected on a Krylov basis. The modes of the model, ``x' + x / t = g q``, are
-integrated exactly for heat flows that are linear between samples.
+The full model is projected on a Krylov basis. Each mode of the projected model has the equation
+``x' + x / t = g q`` with the time constant t and the heat flows q. The equation is integrated
+exactly for heat flows that are linear between samples.
 """
 
 from __future__ import annotations
@@ -21,14 +22,15 @@ from kc2spice.core.errors import wrong
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40  # number of vectors of the Krylov basis
-SEARCH_INSTANTS = 200  # number of instants at which the highest temperature is searched
-# largest rate of a body that loses no heat, relative to the reciprocal duration of the run
+SEARCH_INSTANTS = 200  # number of instants among which the highest temperature is searched
+# Rate that is added to all decay rates, relative to the reciprocal duration of the run. It makes
+# the matrix regular for a body that loses no heat.
 SLOW_RATE_RATIO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class TemperatureField:
-    """Temperature rises ``T(t) = basis @ states[t]`` at the nodes of a body."""
+    """Temperature rises at the nodes of a body: ``basis @ states[k]`` at the sample ``time[k]``."""
 
     heat: HeatModel
     time: np.ndarray
@@ -36,7 +38,10 @@ class TemperatureField:
     states: np.ndarray
 
     def at(self, instant: float) -> np.ndarray:
-        """Return the temperature rises (nodes,) [K] at the sample nearest to ``instant`` [s]."""
+        """Return the nodal temperature rises [K] at the sample nearest to ``instant`` [s].
+
+        The array has the shape (nodes,).
+        """
         return np.asarray(self.basis @ self.states[int(np.argmin(np.abs(self.time - instant)))])
 
     def find_hot_spots(self) -> list[HotSpot]:
@@ -73,10 +78,11 @@ class HotSpot:
 def recover_temperatures(
     heat: HeatModel, time: np.ndarray, flows: Mapping[str, np.ndarray]
 ) -> TemperatureField:
-    """Compute the temperatures of a body under heat flows [W] into its ports.
+    """Compute the nodal temperature rises that the heat flows into a body's ports cause.
 
-    ``flows`` maps names of ports to heat flows. A body with a thermal path to the ambient starts in
-    equilibrium with the first heat flows, any other body at the temperature rise zero.
+    ``flows`` maps names of ports to waveforms of heat flows [W] at the times ``time`` [s]. A body
+    with a thermal path to the ambient temperature starts in equilibrium with the first heat flows.
+    Any other body starts at the temperature rise zero.
 
     Raises
     ------
@@ -111,9 +117,11 @@ def recover_temperatures(
 def _integrate_modes(
     rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
 ) -> np.ndarray:
-    """Integrate ``times (x' + rates x) = loads`` for each mode; return the states (times, modes).
+    """Integrate ``times (x' + rates x) = loads`` for each mode.
 
-    Loads are linear between samples. The state of a massless mode is equal to its load.
+    Return the states x, an array with one row for each sample and one column for each mode. The
+    loads are linear between samples. In a mode without heat capacity, the state is equal to the
+    load.
     """
     result = np.where(moving, 0.0, loads)
     settles = moving & (rates > 0)
@@ -123,7 +131,7 @@ def _integrate_modes(
     result[0, moving] = x[moving]
     for k, step in enumerate(np.diff(t), 1):
         z = rates * step
-        # integrals of e^(-rate s) times a constant load and times a linear load
+        # integrals over one step of e^(-rate s) times a constant load, and times a linear load
         small = z < 1e-4
         safe = np.where(small, 1.0, z)
         decay = np.exp(-z)
@@ -136,7 +144,10 @@ def _integrate_modes(
 
 
 def write_temperatures(path: Path, heat: HeatModel, rises: np.ndarray) -> None:
-    """Write temperature rises (nodes,) [K] to a VTU file."""
+    """Write the nodal temperature rises of a body to a VTU file.
+
+    ``rises`` [K] has the shape (nodes,).
+    """
     geometry = heat.solid.geometry
     nodes = geometry.basis(1).element_dofs.T
     values = {

@@ -1,14 +1,15 @@
 """Finite-element models of heat in solids, with pins for heat sources and temperatures.
 
 The unknowns z are temperature rises above the ambient temperature: one for each free node, one for
-each isothermal face, and one outside each film with a pin. With ``T = P z`` and the matrices of
-:mod:`kc2spice.fem.heat_conduction`, the model is
+each isothermal face, and one for the fluid outside each film with a pin. The nodal temperature
+rises are ``T = P z``. With the matrices of :mod:`kc2spice.fem.heat_conduction`, the model is
 
     E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P + films with pins,
     E z' + K z = B q,   y = B' z.
 
-A source distributes its heat flow q evenly over a group, and the temperature of the source is the
-mean over this group. E and K are symmetric and positive semi-definite, so the model is passive.
+A heat source distributes its heat flow q evenly over a group of elements or facets. The temperature
+at the pin of the source is the mean temperature of this group. E and K are symmetric and positive
+semi-definite, so the model is passive.
 """
 
 from __future__ import annotations
@@ -32,23 +33,25 @@ from kc2spice.fem.heat_conduction import (
 from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
-HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # fact: heat capacity of the whole body
-# name of the frequency up to which the mesh resolves the response
+HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # key in `facts` of the body's total heat capacity
+# key in `facts` of the frequency up to which the mesh resolves the response
 MESH_LIMIT_NAME = "mesh_limit_hz"
-# Share of the error of a thermal resistance that the estimate from recovered heat flows detects.
-# Compared with much finer meshes, it is 0.32 for a uniform heat flow into a disc, and 0.42 for an
-# isothermal disc.
+# Ratio of the error estimate from recovered heat flows to the true error of a thermal resistance.
+# The comparison with much finer meshes yields 0.32 for a uniform heat flow into a disc, and 0.42
+# for an isothermal disc.
 RECOVERED_SHARE = 0.35
-# beginning of the names RESISTANCE_PREFIX + PORT + "_k_per_w"
+# the key of a port's thermal resistance is RESISTANCE_PREFIX + PORT + "_k_per_w"
 RESISTANCE_PREFIX = "thermal_resistance_"
 MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that is stated
 
 
 @dataclass(frozen=True, eq=False)
 class HeatFilm:
-    """Faces that transfer heat: ``coefficient`` [W/(m^2 K)] times the temperature difference.
+    """Faces with heat transfer to a fluid.
 
-    Without a ``port``, the heat flows to the ambient temperature.
+    The heat flow per area is the ``coefficient`` [W/(m^2 K)] times the temperature difference
+    between face and fluid. The temperature of the fluid is that of the ``port``, or the ambient
+    temperature if there is no port.
     """
 
     facets: np.ndarray
@@ -64,11 +67,11 @@ class HeatBoundaryConditions:
     ----------
     fixed : nodes at the ambient temperature.
     isothermal : port and nodes of each isothermal face.
-    sources : port and shares of nodes (nodes,) of each heat source.
+    sources : port of each heat source, and the share (nodes,) of its heat flow at each node.
     films : faces that transfer heat to a fluid.
-    interfaces : inner faces and their resistance [m^2 K/W].
-    points : names of sources at a point. Their thermal resistance grows without bound as the mesh
-        is refined.
+    interfaces : inner faces and their thermal resistance times area [m^2 K/W].
+    points : names of the heat sources at a single point. The thermal resistance of such a source
+        grows without bound as the mesh is refined.
     """
 
     fixed: np.ndarray = field(default_factory=lambda: np.empty(0, int))
@@ -81,7 +84,10 @@ class HeatBoundaryConditions:
 
 @dataclass(frozen=True, eq=False)
 class HeatModel:
-    """Linear model of a solid, whose temperatures at the nodes are ``temperature @ z``."""
+    """Linear thermal model of a solid.
+
+    The temperature rises at the nodes are ``temperature @ z`` for the unknowns z of the model.
+    """
 
     model: LinearModel
     solid: HeatSolid
@@ -89,14 +95,15 @@ class HeatModel:
 
 
 def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatModel:
-    """Make the heat model of a solid, and its characteristic values.
+    """Make the thermal model of a solid, and compute its characteristic values.
 
-    The value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port for 1 W into
-    this port, and no heat flow into other ports.
+    The characteristic value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port
+    while 1 W flows into this port and no heat flows into other ports.
 
     Raises
     ------
-    UsageError : isothermal or fixed faces have nodes in common.
+    UsageError : an isothermal face has nodes in common with another isothermal face, or with a face
+        at the ambient temperature.
     """
     E, K = assemble_heat(solid)
     capacity = float(E.sum())
@@ -137,12 +144,15 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
 
 
 def _get_resistance_name(port: Port) -> str:
-    """Return the name of the thermal resistance of a port."""
+    """Return the key in ``facts`` of a port's thermal resistance."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
 def compute_static_resistances(model: LinearModel) -> dict[str, float]:
-    """Return the temperature rise of each port for 1 W into this port, keyed by name."""
+    """Return the thermal resistance of each port: its temperature rise for 1 W into this port.
+
+    The keys are the names ``thermal_resistance_PORT_k_per_w``.
+    """
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
     return {_get_resistance_name(port): float(value) for port, value in pairs}
@@ -151,8 +161,9 @@ def compute_static_resistances(model: LinearModel) -> dict[str, float]:
 def _find_highest_frequency(solid: HeatSolid) -> float:
     """Return the highest frequency [Hz] that the mesh resolves.
 
-    It is the rate ``k pi^2 / (rho c h^2)`` at which a temperature that varies like ``sin(pi x /
-    h)`` decays, where h is the size of an element.
+    A temperature that varies like ``sin(pi x / h)`` in an element of the size h decays at the rate
+    ``k pi^2 / (rho c h^2)``. The frequency is this rate in the smallest element, divided by ``2
+    pi``.
     """
     mesh, result = solid.geometry.mesh, 0.0
     basis = solid.geometry.basis(1)
@@ -166,9 +177,10 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
 
 
 def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
-    """Return the matrix ``P`` (nodes, unknowns) of ``T = P z``.
+    """Return the matrix ``P`` that maps the unknowns z to nodal temperatures ``T = P z``.
 
-    It has a column for each free node, then one for each isothermal face.
+    P has one row for each node. Its first columns are for the free nodes, and its last columns for
+    the isothermal faces.
     """
     constraint_count = np.zeros(solid.count, int)
     constraint_count[setup.fixed] = 1
@@ -194,7 +206,11 @@ def _add_film_pin(
     solid: HeatSolid,
     film: HeatFilm,
 ) -> tuple[sparse.csc_array, sparse.csc_array, np.ndarray]:
-    """Add the temperature a outside a film as an unknown; the heat flow is ``h int (T - a)``."""
+    """Add the fluid temperature a outside a film to the model as an unknown with a pin.
+
+    The heat flow through the film is ``h int (T - a) dA``. Return the matrices E, K and B with the
+    new unknown.
+    """
     H = film.coefficient * assemble_faces(solid, film.facets)
     load = np.zeros(len(B))
     nodal = P.T @ H.sum(axis=1)
@@ -212,12 +228,13 @@ def _has_thermal_path(setup: HeatBoundaryConditions) -> bool:
 
 
 def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.ndarray:
-    """Estimate ``int (q* - q) . k^-1 (q* - q)`` (columns,) of temperatures (nodes, columns).
+    """Estimate the error of ``T'K T`` for each column of the nodal temperatures T.
 
-    The heat flow ``q = -k grad T`` jumps between elements. ``q*`` is the projection of q on
-    functions that are continuous in each material. The integral estimates the error of ``T'K T``,
-    and therefore the error of a thermal resistance. Source: O. C. Zienkiewicz, J. Z. Zhu, Int. J.
-    Numer. Methods Eng. 24 (1987) 337.
+    ``temperatures`` have the shape (nodes, columns); the estimates have the shape (columns,). The
+    heat flow density ``q = -k grad T`` jumps between elements. ``q*`` is the projection of q on
+    functions that are continuous in each material. The integral ``int (q* - q) . k^-1 (q* - q)``
+    estimates the error of ``T'K T``, and therefore the error of a thermal resistance. Source: O. C.
+    Zienkiewicz, J. Z. Zhu, Int. J. Numer. Methods Eng. 24 (1987) 337.
     """
     result = np.zeros(temperatures.shape[1])
     for number, material in enumerate(solid.materials):

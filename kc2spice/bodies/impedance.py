@@ -1,16 +1,17 @@
-"""Values of an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD model.
+"""Characteristic values that an impedance analyser displays for a resonance.
 
-The Butterworth-Van Dyke circuit is a capacitor C0 in parallel with a branch of R, L, C in series.
+The values are f_s, f_p, Q, coupling, capacitance and the elements of a Butterworth-Van Dyke (BVD)
+circuit. This circuit is a capacitor C0 in parallel with a branch of R, L and C in series.
 With s = j w, its admittance is
 
     Y(s) = s C0 + s C / (1 + s R C + s^2 L C).
 
 The values are f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective
-coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied
-by its denominator, the equation for Y is linear in its coefficients. The coefficients are fitted to
-the samples around the resonance, and a few iterations update the weights (Sanathanan and Koerner,
-IEEE Trans. Autom. Control 8 (1963) 56). Therefore, f_s may lie between the frequencies of the
-samples.
+coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). The equation
+for Y becomes linear in its coefficients if it is multiplied by the denominator. The coefficients
+are fitted to the samples around the resonance. A few iterations update the weights of the samples
+(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56). The fitted f_s can lie between the
+frequencies of the samples.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from kc2spice.core.errors import wrong
 _MIN_SAMPLES = 7  # smallest number of samples around the resonance; the fit has six coefficients
 _FIT_ITERATIONS = 8
 OVERDAMPED_Q = 0.5  # Q factor of a critically damped circuit, whose charge has no overshoot
-# smallest ratio of the largest conductance of a resonance to the rms residual of its circuit
+# smallest ratio of a resonance's largest conductance to the rms residual of the fitted circuit
 MIN_PROMINENCE = 3.0
 
 
@@ -47,7 +48,10 @@ class BVD:
 
 @dataclass(frozen=True)
 class AnalyserValues:
-    """Values of an impedance analyser; the fields have the names of metrics of an ``ac`` scene."""
+    """Characteristic values that an impedance analyser displays for a resonance.
+
+    Each field has the name of the metric that an ``ac`` scene prints for this value.
+    """
 
     resonance_hz: float
     antiresonance_hz: float
@@ -57,7 +61,7 @@ class AnalyserValues:
     bvd: BVD
 
 
-# SI units of the metrics and of the elements in ``bvd``; dimensionless metrics are omitted
+# SI unit of each metric, and of each element in ``bvd``; dimensionless metrics are omitted
 METRIC_UNITS = {
     "resonance_hz": "Hz", "antiresonance_hz": "Hz", "capacitance_f": "F",
     "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
@@ -65,19 +69,20 @@ METRIC_UNITS = {
 
 
 def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
-    """Analyse the first resonance in samples of an impedance at increasing frequencies [Hz].
+    """Return the characteristic values of the first resonance in samples of an impedance.
 
-    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. If
-    this frequency is below the lowest sample, Y of the fitted circuit is used.
+    The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at 1 kHz
+    or at a tenth of the resonance frequency, whichever is lower. If this frequency is below the
+    lowest sample, Y of the fitted circuit is used.
 
     Raises
     ------
-    UsageError : the samples are not an impedance, contain no resonance, or have too few points
-        around the resonance.
+    UsageError : the samples are not an impedance, contain no resonance, or are too few around the
+        resonance.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
-        expected = f"two arrays of one length, at least {_MIN_SAMPLES}"
+        expected = f"two arrays of the same length, with at least {_MIN_SAMPLES} samples"
         got = f"shapes {f.shape} and {Z.shape}"
         raise wrong(None, "these arrays are not samples of an impedance", got, expected)
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
@@ -110,10 +115,11 @@ def _require_resonance(
 ) -> None:
     """Reject a fitted circuit if the maximum of the conductance is not a resonance.
 
-    Dielectric losses, or rounding errors of a body without loss, also cause such maxima.
+    Dielectric losses also cause maxima of the conductance, as do rounding errors in a body without
+    losses.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
-    # the conductance without the branch is the loss of the dielectric and of other modes
+    # after subtraction of the branch, the conductance is due to dielectric loss and other modes
     conductance = Y.real - branch.real
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
     got = f"{f[0]:g} to {f[-1]:g} Hz"
@@ -127,16 +133,17 @@ def _require_resonance(
 
 
 def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
-    """Select the samples around a resonance and its antiresonance.
+    """Select the samples around the first resonance and its antiresonance.
 
-    The samples begin below f_s, at half of the distance over which the resonance affects Y. A
-    resonance is a local maximum of G/w that is at least a twentieth of the largest maximum.
+    A resonance is a local maximum of G/w that is at least a twentieth of the largest maximum. The
+    antiresonance is the next local maximum of Re(Z). The selected samples begin as many samples
+    below the resonance as the antiresonance is above it.
     """
     G = Y.real / f
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
     inner = inner[G[inner] > 0]
     if len(inner) == 0:
-        hint = "widen the band, or add damping so that samples can see the peak"
+        hint = "use a wider frequency band, or add damping so that the peak spans several samples"
         raise wrong(
             None, "the samples contain no resonance", f"{f[0]:g} to {f[-1]:g} Hz", hint=hint
         )
@@ -156,14 +163,15 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
 
 
 def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
-    """Fit a circuit by weighted linear least squares.
+    """Fit a Butterworth-Van Dyke circuit to samples of Y by weighted linear least squares.
 
-    f and Y are scaled to one. The fitted coefficients are those of
+    The frequencies f and the admittances Y are divided by their magnitude. The least-squares
+    problem has the coefficients of
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 
-    The term g represents the loss of the dielectric and of higher modes, which the circuit does not
-    contain.
+    The term with g represents the loss of the dielectric and of higher modes. The
+    Butterworth-Van Dyke circuit does not contain this loss.
     """
     unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
     s, y = 1j * f / unit, Y / size

@@ -1,22 +1,24 @@
-"""Error estimates of the mesh of a body: natural frequencies and static values.
+"""Estimates of the errors that a body's mesh causes in frequencies and static responses.
 
-A is the energy product of displacements and potentials. The errors of frequency, capacitance and
-stroke are computed from the errors e of modes w, of the response v to a voltage, and of the
-response p to a force:
+A is the energy product of displacements and potentials. The errors of frequencies, capacitances and
+strokes follow from three errors: e_w of a mode w, e_v of the response v to a voltage, and e_p of
+the response p to a force:
 
     df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
 
-On triangles, tetrahedra and quadrilaterals, e is the correction by cubic shape functions
-(:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports, the solution is
-singular and converges slowly with the degree. The functions therefore correct only a part of the
-error, :data:`CORRECTED_SHARE`. On hexahedra, cubic functions would need more time than the model,
-and e is the difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
+On triangles, tetrahedra and quadrilaterals, each error e is estimated by the correction that cubic
+shape functions yield (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports,
+the solution is singular, and it converges slowly as the polynomial degree rises. The cubic
+functions therefore correct only the share :data:`CORRECTED_SHARE` of the error. On hexahedra, cubic
+functions would need more time than the model itself. There, e is the difference between the
+recovered strain and electric field and those of the model (:mod:`kc2spice.fem.recovery`).
 
 In the error of a stroke, positive and negative contributions may cancel by chance. Therefore, the
-estimate is increased. On hexahedra, :data:`ABSOLUTE_SHARE` of the absolute contributions of the
-elements is added. On other elements, :data:`BOUND_SHARE` of the bound ``sqrt(A(e_p, e_p) A(e_v,
-e_v))`` is added. All factors were determined by comparison with much finer meshes;
-``tests/physics/test_mesh_error.py`` limits the difference.
+estimate is increased. On hexahedra, the sum of the absolute contributions of the elements is added
+with the factor :data:`ABSOLUTE_SHARE`. On other elements, the bound ``sqrt(A(e_p, e_p) A(e_v,
+e_v))`` is added with the factor :data:`BOUND_SHARE`. All factors were determined by comparison with
+much finer meshes. ``tests/physics/test_mesh_error.py`` checks that an estimate is at least half and
+at most twice the error.
 """
 
 from __future__ import annotations
@@ -29,17 +31,17 @@ from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import compute_energy_products
 
-# Share of the error that cubic functions correct. For a solution that varies like r^0.5 at an edge,
-# it is 1 - (2/3)^2 = 0.56 of the energy error, and 0.68 for r^0.7 at a clamp. It is 0.4 to 0.9 on
-# the meshes of tests/physics/test_mesh_error.py.
+# Share of the energy error that cubic functions correct. This share is 1 - (2/3)^2 = 0.56 for a
+# solution that varies like r^0.5 at an edge, and 0.68 for r^0.7 at a clamp. It is 0.4 to 0.9 on the
+# meshes of tests/physics/test_mesh_error.py.
 CORRECTED_SHARE = 0.6
-# Share of the error bound that is added to the error of a stroke. Without this share, strokes whose
-# energy product is below a tenth of the bound have an estimate of only half of the error.
+# Share of the error bound that is added to the error estimate of a stroke. If the energy product of
+# a stroke is below a tenth of the bound, the estimate without this share is half of the error.
 BOUND_SHARE = 0.05
-# Share of the sum of absolute element contributions in the error estimate of a static response. In
-# beams, where contributions cancel, the sum with signs is only 0.3 of the error.
+# Factor of the sum of absolute element contributions in the error estimate of a static response. In
+# beams, the contributions cancel, so that their sum with signs is only 0.3 of the error.
 ABSOLUTE_SHARE = 1 / 3
-MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the value before
+MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the uncorrected value
 # smallest relative mesh error that is stated; smaller errors are rounding errors or errors of ports
 MIN_STATED_ERROR = 1e-4
 
@@ -47,10 +49,12 @@ MIN_STATED_ERROR = 1e-4
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimate the relative mesh errors of characteristic values, keyed by name.
+    """Estimate the relative errors that the mesh causes in characteristic values of a body.
 
-    The names begin with :data:`MESH_ERROR_PREFIX`. The error ``modes`` is the largest error of all
-    computed modes. The model represents ``sectors`` equal solids.
+    Return a mapping of names to relative errors. Each name is :data:`MESH_ERROR_PREFIX` followed by
+    ``resonance``, ``modes``, ``capacitance``, ``stroke`` or ``compliance``. The error of ``modes``
+    is the largest frequency error of all computed modes. The body consists of ``sectors`` equal
+    solids, of which one is modelled.
     """
     volts = answers.static.shape[1]
     estimate = (
@@ -80,8 +84,8 @@ def _estimate_by_enrichment(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate errors of frequencies and static responses by cubic shape functions.
 
-    The results are the relative changes of frequencies (modes,), and the energy products (a, a) of
-    the errors of static responses.
+    Return the relative changes of the modal frequencies, an array of shape (modes,), and the energy
+    products of the errors of each pair of the a static responses, an array of shape (a, a).
     """
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products
@@ -95,7 +99,7 @@ def _estimate_by_recovery(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate errors of frequencies and static responses by recovered strains and fields.
 
-    The results are those of :func:`_estimate_by_enrichment`.
+    Return the same quantities as :func:`_estimate_by_enrichment`.
     """
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
@@ -114,5 +118,5 @@ def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _convert_to_relative_error(change: float) -> float:
-    """Convert a change relative to the value to an error relative to the corrected value."""
+    """Convert a relative change of a value to an error relative to the corrected value."""
     return float(max(abs(change) / max(1 + change, MIN_CORRECTION_RATIO), MIN_STATED_ERROR))

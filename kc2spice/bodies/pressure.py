@@ -1,41 +1,48 @@
 """Pressure on the top of a stack: a contact port that converges as the mesh is refined.
 
-A force on a circle of mesh nodes is a line load. Its indentation grows without bound as the mesh is
-refined. In this module, pressures are piecewise linear functions of the radius (P1), and
-displacements are averages over the same basis functions. The mesh of the whole stack is too coarse
-for these functions. The port of the coarse mesh is a patch with the pressure of a flat punch. If S
-(n, n) is the static compliance of the basis functions, the shares ``w = S^-1 1 / (1' S^-1 1)`` move
-all functions by the same displacement: ``S w = s 1``. The displacement of function i is
+A force on a circle of mesh nodes is a line load. The indentation under a line load grows without
+bound as the mesh is refined. In this module, contact pressures are sums of basis functions that are
+piecewise linear in the radius (P1). The displacement of a basis function is the average of the
+surface displacement, weighted with this function. The mesh of the whole stack is too coarse for
+these functions. Its contact port is therefore a patch with the pressure of a flat punch. Let S be
+the static compliance matrix (n, n) between the basis functions. If the force is divided among the
+functions in the shares ``w = S^-1 1 / (1' S^-1 1)``, all functions have the same displacement: ``S
+w = s 1``. The displacement of function i is
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
 where S is the compliance of a round stack of the same layers on a graded axisymmetric mesh.
 ``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum adds
 the compliance that the coarse mesh does not represent. The displacements of the round stack and of
-the real stack differ by a smooth function, which is nearly equal for all basis functions. The port
-of the patch includes this dynamic part of the motion. ``S - s 1 1'`` is positive semi-definite,
-because s is the smallest compliance of all shares. A coarse mesh is too stiff, so that s_patch is
-smaller than s, and the matrix of the sum is also positive semi-definite.
+the real stack differ by a smooth function of the position, which is nearly equal for all basis
+functions. The port of the patch includes this difference and its dynamics. ``S - s 1 1'`` is
+positive semi-definite, because s is the smallest compliance of all possible shares. A coarse mesh
+is too stiff, so that s_patch is smaller than s. Therefore, ``S - s_patch 1 1'`` is also positive
+semi-definite.
 
-The local compliance has no inertia, like residual modes (:mod:`kc2spice.rom.modal`): the modes of
-the patch are above ten megahertz (speed of sound divided by its size). Therefore, the forces depend
-only on x, the indentation of a sphere relative to the patch. The sum of the forces is a function of
-x (:func:`fit_indentation_law`), which a circuit evaluates like the force of one spring.
+The local compliance has no inertia, like residual modes (:mod:`kc2spice.rom.modal`). Inertia is
+negligible, because the modes of the patch are above ten megahertz (speed of sound divided by the
+size of the patch). Therefore, the forces depend only on x, the indentation of a sphere relative to
+the patch. The sum of the forces is a function of x (:func:`fit_indentation_law`), which a circuit
+evaluates like the force of one spring.
 
-The other body may be a free elastic :class:`TransverselyIsotropicSphere` with the same basis. The
-quadrilaterals of its mesh grow with the distance from the lowest point. With ``zeta = r + i h``, h
-the height above the pole, the conformal map ``zeta = w / (1 - i w / 2R)`` transforms the quarter
-plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc. A grid of the angles x along the surface
-and y along the axis has right angles everywhere. At the pole, its lines are the nodes of the basis.
-The other pole is at infinity. The mesh omits a pit of the radius ``R / 30`` at this pole, which has
-1e-5 of the mass.
+The other contact body may be a free elastic sphere (:class:`TransverselyIsotropicSphere`) with the
+same basis functions. The quadrilaterals of its mesh grow with the distance from the lowest point,
+the lower pole. Points in the half disc are ``zeta = r + i h``, where h is the height above the
+lower pole. The conformal map ``zeta = w / (1 - i w / 2R)`` transforms the quarter plane ``w = 2R
+(tan x/2 + i tan y/2)`` to this half disc. Lines of constant angles x (along the surface) and y
+(along the axis) cross at right angles everywhere. On the surface at the lower pole, the lines of
+the grid meet the nodes of the basis functions. The upper pole is at infinity in the quarter plane.
+The mesh omits a pit of the radius ``R / 30`` at the upper pole. This pit has 1e-5 of the sphere's
+mass.
 
-Displacements of the sphere are relative to its centre of mass. The rigid motion of the sphere along
-the axis is t (n,), and its mass is ``m = t' M t``. To forces at the ports B, the inertia forces
-that balance them are added: ``B - M t t' B / m``. Thus the forces do not move the centre. A spring
-``(M t) (M t)' w^2 / m`` on the rigid motion makes K definite; it is represented by an unknown that
-is eliminated. No force deforms this spring, and no output measures its deformation. A uniform
-force, such as weight, has no effect.
+Displacements of the sphere are relative to its centre of mass. The rigid translation of the sphere
+along the axis is the vector t (n,), and its mass is ``m = t' M t``. The loads B of the ports are
+supplemented by the inertia forces that balance them: ``B - M t t' B / m``. Therefore, forces at the
+ports do not move the centre of mass. K would be singular for the rigid translation. A spring ``(M
+t) (M t)' w^2 / m`` makes K definite; it is represented by an unknown that is eliminated. No port
+force deforms this spring, and no output contains its deformation. A uniform force, such as weight,
+has no effect.
 """
 
 from __future__ import annotations
@@ -62,30 +69,33 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
-CELLS_PER_NODE = 3  # number of cells of the graded mesh between two nodes of the basis
-CELL_GROWTH = 1.3  # ratio of successive cell sizes away from the nodes
-EVEN_RADIUS_RATIO = 0.2  # radius with equally spaced nodes, relative to the radius of the patch
+CELLS_PER_NODE = 3  # number of cells of the graded mesh between two nodes of the basis functions
+CELL_GROWTH = 1.3  # ratio of successive cell sizes outside of the contact
+# radius within which the nodes are equally spaced, relative to the radius of the patch
+EVEN_RADIUS_RATIO = 0.2
 # largest contact radius of a force law, relative to the radius of the patch
 MAX_CONTACT_RATIO = 0.5
-MIN_FUNCTIONS = 5  # number of basis functions under the smallest contact to which the law is fitted
-LAW_DEGREE = 5  # degree of the law's polynomial in the contact's radius
-FIT_DEPTHS = 300  # number of indentations to which the law is fitted
-# Share of its compliance that is added to the diagonal entry of a function, to make the matrix
-# definite.
+# number of basis functions within the smallest contact radius to which the force law is fitted
+MIN_FUNCTIONS = 5
+LAW_DEGREE = 5  # degree of the force law's polynomial in the contact radius
+FIT_DEPTHS = 300  # number of indentations to which the force law is fitted
+# Share of the largest diagonal entry that is added to the diagonal of a compliance matrix, so that
+# the matrix is definite.
 REGULARISATION = 1e-7
-# 2 pi f R / c of the lowest mode of a sphere, with the speed c of shear waves (Lamb 1882, nu =
-# 0.25)
+# Dimensionless frequency 2 pi f R / c of the lowest mode of a sphere of radius R, with the speed c
+# of shear waves (Lamb 1882, Poisson's ratio 0.25).
 OBLATE_FREQUENCY = 2.65
 MAX_CELL_ANGLE = 1 / 8  # rad, largest angle of a cell
-PIT_ANGLE = 1 / 60  # rad, angle around the upper pole without cells
+PIT_ANGLE = 1 / 60  # rad, angle around the upper pole that the mesh omits
 
 
 @dataclass(frozen=True, eq=False)
 class PressureBasis(EqualByContent):
-    """Piecewise linear functions of the radius (P1) for pressures, one per node of ``nodes`` [m].
+    """Basis functions of contact pressures: piecewise linear in the radius (P1).
 
-    Function j is 1 at node j and 0 at all other nodes. At the last node, the edge of the patch, the
-    pressure is zero.
+    ``nodes`` [m] contains the radii of the nodes. Function j is 1 at node j and 0 at all other
+    nodes. The last node is the edge of the patch and has no function, because the pressure there is
+    zero.
     """
 
     nodes: np.ndarray
@@ -97,18 +107,23 @@ class PressureBasis(EqualByContent):
 
     @property
     def distances(self) -> np.ndarray:
-        """Radius [m] at which the gap under a paraboloid equals the mean gap over each function.
+        """Radius [m] of each function at which a paraboloid's gap equals its mean gap.
 
-        The square of this radius is the mean of ``r^2`` over the function.
+        The mean is weighted with the function. The square of the radius is therefore the weighted
+        mean of ``r^2``.
         """
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
     def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the radii and the pressures of a unit force with the shares (n,) of functions."""
+        """Return the pressure of a unit force that is divided among the functions by ``shares``.
+
+        The first array contains the radii [m] of the nodes, and the second array the pressures
+        [1/m^2] there.
+        """
         return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _integrate_powers(self, power: int) -> np.ndarray:
-        """Return integrals of powers of the radius over each function."""
+        """Return the integral of each function times a power of the radius over the plane."""
         x, w = np.polynomial.legendre.leggauss(4)
         a, b = self.nodes[:-1], self.nodes[1:]
         r = (a + b)[:, None] / 2 + (b - a)[:, None] / 2 * x
@@ -121,9 +136,9 @@ class PressureBasis(EqualByContent):
 def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
     """Choose the nodes of a basis on a patch with the radius ``patch`` [m].
 
-    Near the axis, the distance of two nodes is ``spacing`` [m]. Beyond a fifth of the patch, the
-    distance is proportional to the radius, so that the functions have similar shares of a sphere's
-    force.
+    Near the axis, the distance between two nodes is ``spacing`` [m]. Beyond a fifth of the patch
+    radius, the distance is proportional to the radius. In this way, each function has a similar
+    share of the force of a sphere.
     """
     nodes = [0.0]
     while (
@@ -136,10 +151,10 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of basis functions in addition to the compliance of the whole patch.
+    """Compliance between basis functions, in addition to the compliance of the whole patch.
 
-    ``compliance`` (n, n) [m/N] is the additional compliance, and ``patch`` [m/N] is the compliance
-    of the patch.
+    ``compliance`` (n, n) [m/N] is the additional compliance matrix of the basis functions.
+    ``patch`` [m/N] is the compliance of the patch.
     """
 
     compliance: np.ndarray
@@ -147,7 +162,10 @@ class LocalCompliance(EqualByContent):
 
     @property
     def shares(self) -> np.ndarray:
-        """Shares (n,) of the basis functions that move all functions by the same distance."""
+        """Share of a force on each basis function that gives all functions equal displacements.
+
+        The array has the shape (n,).
+        """
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
 
@@ -159,10 +177,11 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
 
     Raises
     ------
-    SimulationError : the coarse mesh is softer than the graded mesh, because a mesh is unsuitable.
+    SimulationError : the coarse mesh is softer than the graded mesh, because the coarse mesh or the
+        ``spacing`` of the basis functions is unsuitable.
     """
     S = compute_surface_compliance(chip, shape)
-    # round stack with the same layers, and with the same mesh under the patch
+    # the coarse model is a round stack with the same layers and the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
@@ -186,35 +205,38 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
 def compute_surface_compliance(
     chip: Chip, shape: PressureBasis, cells: int = CELLS_PER_NODE
 ) -> np.ndarray:
-    """Compute the compliance (n, n) [m/N] between all basis functions.
+    """Compute the compliance between all basis functions on the top of a round stack.
 
-    The stack is round, as wide as the chip's smaller side, and stands on a frictionless support.
-    The voltages of the electrodes are constant.
+    The diameter of the stack is the smaller side of the chip. The stack stands on a frictionless
+    support, and the voltages of its electrodes are constant. Return a matrix of shape (n, n) [m/N].
+    ``cells`` is the number of cells between two nodes of the basis functions.
     """
     return _compute_port_compliance(_model_stack(chip, shape, cells).model)
 
 
 def _compute_port_compliance(model: LinearModel) -> np.ndarray:
-    """Compute the static compliance (n, n) [m/N] of the mechanical ports.
+    """Compute the static compliance between the n mechanical ports of a model.
 
-    The mechanical ports are the first ports of the model.
+    Return a symmetric matrix of shape (n, n) [m/N].
     """
     loads = model.B[:, [port.domain is TRANSLATION for port in model.ports]]
     S = loads.T @ model.pencil.pencil_solver(0.0).solve(loads)
     return np.asarray((S + S.T) / 2)
 
 
-UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units of the stresses
+# units of the values that `compute_stresses_under_force` returns
+UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}
 
 
 def compute_stresses_under_force(
     chip: Chip, shape: PressureBasis, force: np.ndarray
 ) -> dict[str, float]:
-    """Compute the stresses under the forces ``force`` (n,) [N] of the basis functions.
+    """Compute the largest stresses in a stack under contact forces.
 
-    The stresses are evaluated at Gauss points of the graded mesh. The results are the largest
-    pressure ``pressure_pa``, the largest shear stress ``shear_pa`` (half of the difference of
-    principal stresses), and the depth ``shear_depth_m`` of the shear stress below the top.
+    ``force`` [N] contains the force of each basis function, an array of shape (n,). The stresses
+    are evaluated at the Gauss points of the graded mesh. Return the largest pressure
+    ``pressure_pa``, the largest shear stress ``shear_pa`` (half of the difference of principal
+    stresses), and the depth ``shear_depth_m`` of the largest shear stress below the top.
     """
     stack = _model_stack(chip, shape, CELLS_PER_NODE)
     probe, model = FieldProbe(stack, gauss=True), stack.model
@@ -234,8 +256,8 @@ def compute_stresses_under_force(
 def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
     """Model the round stack on a frictionless support, with a port for every basis function.
 
-    The quadrilaterals are larger at a larger distance from the functions. Every face of a layer is
-    a line of the mesh.
+    The size of the quadrilaterals increases with their distance from the basis functions. Every
+    face of a layer is a line of the mesh.
     """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
@@ -256,7 +278,7 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     r, z = solid.places
 
     def grade_level(at: np.ndarray) -> np.ndarray:
-        """Return the nodes at the height of ``at``."""
+        """Return the nodes at any of the heights ``at`` [m]."""
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
@@ -275,14 +297,18 @@ def _make_basis_ports(shape: PressureBasis) -> list[Port]:
 
 
 def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """Return the nodal loads (2 nodes, n) of a unit axial force with each basis function.
+    """Return the nodal loads of a unit axial force that is distributed like each basis function.
 
-    The pressure of a basis function acts on the facets, projected on the plane.
+    The force per projected horizontal area of the facets is proportional to the basis function.
+    The loads are an array of shape (2 nodes, n).
     """
     basis = solid.facet_basis(facets, 5)
 
     def facet_load(heights: np.ndarray) -> np.ndarray:
-        """Return the load of one basis function on the facets."""
+        """Return the nodal loads of a pressure on the facets with the values ``heights``.
+
+        ``heights`` are the values at the nodes of the basis functions.
+        """
         profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
         return np.asarray(form.assemble(basis))
@@ -298,7 +324,10 @@ def _subdivide_intervals(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _grow_points(start: float, end: float, step: float) -> np.ndarray:
-    """Place points from ``start`` to ``end``; their distances grow, beginning with ``step``."""
+    """Return points from ``start`` to ``end`` at increasing distances.
+
+    The first distance is :data:`CELL_GROWTH` times ``step``.
+    """
     points = [start]
     while points[-1] + 1.5 * (step := CELL_GROWTH * step) < end:
         points.append(points[-1] + step)
@@ -307,11 +336,12 @@ def _grow_points(start: float, end: float, step: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class IndentationLaw:
-    """Force of a sphere: ``sum_k c_k s^(3 + k)`` [N] with ``s = sqrt(x / depth)``.
+    """Contact force of a sphere as a function of its indentation x [m].
 
-    x [m] is the indentation, and ``depth`` [m] is the largest indentation of the law. Thus s is the
-    contact radius divided by its maximum. The first term is Hertz's law, and the other terms are
-    effects of the layers and of the size of the body.
+    The force is ``sum_k c_k s^(3 + k)`` [N] with ``s = sqrt(x / depth)``, where ``depth`` [m] is
+    the largest indentation of the law. Thus s is the contact radius divided by its maximum. The
+    first term of the sum is Hertz's law. The other terms are effects of the layers and of the size
+    of the body.
     """
 
     depth: float
@@ -326,14 +356,16 @@ class IndentationLaw:
 def fit_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray
 ) -> IndentationLaw:
-    """Fit the force law of a sphere on basis functions with a ``compliance`` (n, n).
+    """Fit the force law of a sphere that is pressed on a surface with basis functions.
 
-    Between each function and the sphere is a ``gap`` (n,) [m]. Functions come into contact one
-    after another, so that the force consists of n straight lines. It differs from the converged
-    force by up to a quarter of (spacing / contact radius)^2. The work ``J = int F dx`` is a minimum
-    over all pressures, so its error is proportional to the squared errors of the pressures.
-    Therefore, a polynomial is fitted to J, for contacts at least :data:`MIN_FUNCTIONS` functions
-    wide. The law is the derivative of this polynomial.
+    ``compliance`` (n, n) [m/N] is the compliance matrix of the functions, and ``gap`` (n,) [m] is
+    the initial gap between each function and the sphere. The functions come into contact one after
+    another, so that the force is a piecewise linear function of the indentation with n pieces. This
+    force differs from the converged force by a relative error of up to a quarter of (spacing /
+    contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. Its error is
+    therefore proportional to the squared errors of the pressures. A polynomial is fitted to J at
+    contact radii of at least :data:`MIN_FUNCTIONS` functions. The force law is the derivative of
+    this polynomial.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # in Hertz's solution, the pressure at this radius is half of the largest pressure
@@ -349,12 +381,13 @@ def fit_indentation_law(
 
 
 def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Compute the forces (depths, n) [N] of a sphere on the basis functions.
+    """Compute the forces of a sphere on the basis functions at several indentations.
 
-    The forces f are positive only where the sphere touches the surface: with ``g = x - gap``, ``f
-    >= 0``, ``S f >= g`` and ``f'(S f - g) = 0``. These are the conditions of a minimum of ``f'S f /
-    2 - f'g``. With ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2``, apart from a
-    constant.
+    ``depth`` [m] contains the indentations x. Return the forces f [N], an array of shape (depths,
+    n). The compliance matrix is S, and ``g = x - gap`` is the overlap of sphere and surface. The
+    forces are positive only where the sphere touches the surface: ``f >= 0``, ``S f >= g`` and
+    ``f'(S f - g) = 0``. These are the conditions of a minimum of ``f'S f / 2 - f'g``. With the
+    factorisation ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2`` apart from a constant.
     """
     from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 
@@ -373,7 +406,7 @@ class TransverselyIsotropicSphere:
 
     @property
     def oblate_frequency(self) -> float:
-        """Frequency [Hz] of the lowest mode, in which the sphere becomes oblate and prolate.
+        """Frequency [Hz] of the lowest mode, which alternates between oblate and prolate shapes.
 
         Poisson's ratio changes the frequency by at most 1 %.
         """
@@ -382,17 +415,21 @@ class TransverselyIsotropicSphere:
 
     @property
     def rayleigh(self) -> tuple[float, float]:
-        """Damping factors ``alpha`` [1/s] and ``beta`` [s] for the frequency of the lowest mode."""
+        """Rayleigh damping factors ``alpha`` [1/s] and ``beta`` [s] of the sphere.
+
+        A damping ratio of the sphere applies at the frequency of its lowest mode.
+        """
         return self.damping.rayleigh(self.oblate_frequency)
 
 
 def model_sphere(
     body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
-    """Make the model of a free sphere with the port ``patch``; see the module docstring.
+    """Make the model of a free sphere with the port ``patch``.
 
-    The direction of the port is upwards. ``shares`` (n,) are the weights of the basis functions in
-    the port. ``refine`` divides every cell along each axis.
+    The direction of the port is upwards. ``shares`` (n,) are the shares of the port's force on the
+    basis functions. ``refine`` is the number of parts into which every cell is divided along each
+    axis. The module docstring describes the model.
     """
     device, port = _model_free_sphere(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
     facet_load = device.model.B @ shares[:, None]
@@ -418,7 +455,10 @@ def compute_sphere_compliance(
 def _model_free_sphere(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int
 ) -> FiniteElementModel:
-    """Make the undamped model of a sphere with a port for every function, on a mapped grid."""
+    """Make the undamped model of a free sphere with a port for every basis function.
+
+    The mesh is a grid of angles that the conformal map of the module docstring transforms.
+    """
     radius = body.radius
     x = _extend_angles(np.arcsin(_subdivide_intervals(shape.nodes, CELLS_PER_NODE) / radius))
     y = _extend_angles(np.array([0.0, x[1]]))

@@ -1,15 +1,15 @@
 """Multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
 One quarter of the stack is meshed, because all four quarters move in the same way. As in the paper
-(2.2.2), the nodes are on concentric circles, so that one force per ring is exact. A *level* is one
-element over the height: one layer, or several layers as one medium if ``layers_per_element``
-permits this. The electrodes determine the field in each layer. Therefore, m layers in parallel at
-one voltage equal one layer that is m times as thick, with the coupling ``m e`` and the permittivity
-``m^2 eps``.
+(2.2.2), the nodes are on concentric circles. Therefore, a force on a ring is exactly a sum of nodal
+forces. A *level* is a layer of elements of the mesh. It contains one ceramic layer, or several
+ceramic layers as one medium if the key ``layers_per_element`` permits this. The electrodes
+determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
+equal one layer of m times the thickness, the coupling ``m e`` and the permittivity ``m^2 eps``.
 
-Even planes of electrodes are the grounded cathode, and odd planes the anode. The poling of the
-layers alternates. It is along -z above a cathode, so that a positive voltage at the anode lengthens
-every layer. Source: paper 2.2.2 and appendix A.2.
+Electrode planes with even numbers are the grounded cathode, and planes with odd numbers are the
+anode. The poling of the layers alternates: it is along -z above a cathode, so that a positive
+voltage at the anode lengthens every layer. Source: paper 2.2.2 and appendix A.2.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
 
 LEVEL_GROWTH = 0.25  # largest ratio of a level's thickness to its depth below the top
-# Memory of sparse factors of a solid with n unknowns, divided by n^(4/3) [bytes]; 152 000 unknowns
-# took 5.8 GB.
+# Memory [bytes] of the sparse factors of a solid with n unknowns, divided by n^(4/3). With 152 000
+# unknowns, the factors took 5.8 GB.
 SPARSE_BYTES = 700.0
-_POSITION_TOLERANCE = 1e-9  # distance of equal positions, relative to the stack's size
-_PRESSURE_POINTS = 8  # quadrature points per cell; the slope of a pressure may jump inside the cell
+# largest distance between nodes that are regarded as one position, relative to the stack's size
+_POSITION_TOLERANCE = 1e-9
+# Order of the quadrature over a cell. It is high, because the slope of a pressure may jump inside
+# the cell.
+_PRESSURE_QUADRATURE = 8
 
 Profile = tuple[np.ndarray, np.ndarray]
 
@@ -43,7 +46,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 def make_stack(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """Make the model of the stack with the ports ring0, ring1, ... and the anode.
+    """Make the model of the stack with the ports ``ring0``, ``ring1``, … and ``anode``.
 
     The symmetry conditions are u_x = 0 on x = 0 and u_y = 0 on y = 0. A stack poled along x moves
     antisymmetrically in x, so that u_y = u_z = 0 on x = 0. The support of the bottom face z = 0
@@ -55,23 +58,24 @@ def make_stack(
     * a number: springs along all three axes with this stiffness [N/m per m^2].
 
     Free potentials exist only if a plane of nodes lies inside an active layer. The unknowns
-    describe one quarter. A force on a whole ring is divided among the quarters, and each quarter
-    has the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. If a
-    ``pressure`` is given, one mechanical port replaces the rings. The pressure is piecewise linear
-    over radii [m], and zero beyond the last radius.
+    describe one quarter of the stack. A force on a whole ring is divided among the four quarters.
+    Each quarter has the displacement of the whole ring. ``breakdown`` [V/m] is the breakdown field
+    of a layer. If a ``pressure`` is given, the model has one mechanical port for this pressure
+    instead of the ring ports. ``pressure`` contains radii [m] and pressures. The pressure is linear
+    between the radii, and zero beyond the last radius.
 
     Raises
     ------
     UsageError : rings are larger than the chip, the number of sectors is odd, the material is
-        impossible, or the unknowns need too much memory.
+        invalid, or the model needs too much memory.
     """
     solid, setup = make_stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
     facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # the key rated_field states this value
+    facts.pop("depoling_voltage_v", None)  # the user gives this limit by the key `rated_field`
     facts["unknowns"] += 1  # the paper counts the anode as one unknown
     for name in [name for name in facts if name.endswith("_m_per_v")]:
-        # data sheets state the value in this unit
+        # data sheets of stacks state the stroke per 100 V
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)
     return replace(device, model=device.model.copy_with(facts=facts, name="piezo_stack"))
 
@@ -81,9 +85,10 @@ def make_stack_setup(
 ) -> tuple[Solid, BoundaryConditions]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
-    The quarter is ``0 <= x, y``, ``0 <= z`` with its bottom cap (paper 2.2.2, Fig. 3b). Nodes are
-    numbered plane by plane. In each plane, the centre is first, followed by the nodes of each ring
-    from the x axis to the y axis. Elements are numbered from the bottom to the top.
+    The quarter has ``x >= 0`` and ``y >= 0``. Its bottom face, including the bottom cap, is at ``z
+    = 0`` (paper 2.2.2, Fig. 3b). Nodes are numbered plane by plane. In each plane, the centre is
+    first, followed by the nodes of each ring from the x axis to the y axis. Elements are numbered
+    from the bottom to the top.
     """
     steps = kick.mesh.refine * kick.mesh.order
     (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
@@ -117,7 +122,7 @@ def make_stack_setup(
 
 
 def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the active layers of each level, and the heights [m] of all planes of nodes."""
+    """Return the number of active layers in each level, and the heights [m] of all node planes."""
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
     counts = [choose_cap_layers(kick, cap) for cap in caps]
     below, above = (
@@ -133,11 +138,11 @@ def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
 def _make_hexahedra(
     lattice: np.ndarray, heights: np.ndarray, order: int
 ) -> tuple[MeshHex1, np.ndarray]:
-    """Make the mesh of hexahedra, and the numbers of their nodes.
+    """Make the mesh of hexahedra, and the node numbers of each hexahedron.
 
-    A box with the coordinates (ring, spoke, plane) gives regular hexahedra and their numbering. The
-    nodes of this box are then moved to their positions. All nodes of a plane on the face ring = 0
-    become one node, so that the hexahedra there become exact wedges.
+    A box with the coordinates (ring, spoke, plane) is divided into regular hexahedra. Its nodes are
+    then moved to their positions in the stack. In each plane, all nodes with ``ring = 0`` become
+    one node, so that the hexahedra around the centre become exact wedges.
     """
     counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
     box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
@@ -151,10 +156,10 @@ def _make_hexahedra(
 
 
 def choose_level_spans(kick: Chip) -> np.ndarray:
-    """Choose the number of layers in each level, from the bottom to the top.
+    """Choose the number of ceramic layers in each level of elements, from the bottom to the top.
 
-    The number is at most ``layers_per_element``, and no level is thicker than :data:`LEVEL_GROWTH`
-    times its depth below the top.
+    The number is at most ``layers_per_element``. Levels of several layers are not thicker than
+    :data:`LEVEL_GROWTH` times their depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -164,9 +169,10 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
 
 
 def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
-    """Choose the number of layers of cells in a cap.
+    """Choose the number of element levels in a cap.
 
-    The cells are about as thick as an active layer, and their number is at most sixteen.
+    A level in the cap is about as thick as an active layer. There are two to sixteen levels in a
+    cap, and none without a cap.
     """
     if cap is None:
         return 0
@@ -174,10 +180,11 @@ def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
 
 
 def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
-    """Return the positions (rings + 1, spokes + 1, 2) of the nodes of a plane.
+    """Return the x and y positions of the nodes of one plane.
 
-    Row 0 contains only the centre, repeatedly. Nodes divide arcs and straight edges into equal
-    parts. Beyond the last ring, the nodes are on straight lines.
+    The array has the shape (rings + 1, spokes + 1, 2). Each entry of its row 0 is the centre. Nodes
+    divide arcs and straight edges into equal parts. Beyond the last contact ring, the nodes of each
+    spoke are on a straight line.
     """
     mesh, half = kick.mesh, kick.half
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
@@ -191,7 +198,8 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
         edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
-    # spacing (1 + g + ... + g^(count-1)) = remaining length, so that the sizes do not jump
+    # The growth factor g solves: spacing (1 + g + ... + g^(count-1)) = remaining length. In this
+    # way, the first outer ring has the spacing of the contact rings.
     if ratio > count > 1:
         from scipy.optimize import brentq  # imported here, because most meshes come from the cache
 
@@ -204,9 +212,10 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Return the different materials, and for each level the index of its material.
+    """Return the different materials of the stack, and for each level the index of its material.
 
-    ``spans`` are the numbers of layers in the levels from the bottom to the top, 0 in a cap.
+    ``spans`` contains the number of ceramic layers in each level from the bottom to the top; the
+    number is 0 in a cap.
     """
     plain = replace(kick.ceramic, breakdown_field=breakdown)
     poled, active = (
@@ -240,7 +249,10 @@ def make_layer_materials(
 
 
 def _mask_fixed_displacements(kick: Chip, solid: Solid) -> np.ndarray:
-    """Return a mask of the displacements ``3 node + axis`` that symmetry or mounting fixes."""
+    """Return a mask of the nodal displacements that are fixed by symmetry or by the mounting.
+
+    Entry ``3 node + axis`` of the mask is for the displacement of a node along an axis.
+    """
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
     near = _POSITION_TOLERANCE * solid.places.max()
     mounting = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
@@ -256,8 +268,11 @@ def _find_electrodes(
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
     """Find the nodes on the electrodes, and the potentials of nodes between electrodes.
 
-    ``spans`` are the numbers of layers in the levels (0 in a cap), and ``faces`` [m] the heights of
-    their lower and upper faces. A level of several layers contains electrodes between its nodes.
+    ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
+    ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
+    several layers contains electrodes between its nodes. Return the nodes of ``anode`` and
+    ``cathode``. Also return the nodes inside levels of several layers, with their potentials as
+    fractions of the anode's voltage, or None if there are no such nodes.
     """
     active, z = np.flatnonzero(spans), solid.places[2]
     planes = faces[np.r_[active, active[-1] + 1]]
@@ -273,10 +288,11 @@ def _find_electrodes(
 
 
 def _make_ring_forces(kick: Chip, solid: Solid) -> list[PortLoad]:
-    """Make unit forces on the rings along z, or along x for a stack poled along x.
+    """Make a unit force on each ring along z, or along x for a stack poled along x.
 
-    At nodes on a symmetry plane, half of the force acts on the mirror image. The weights of a ring
-    have the sum one, so that the output of its port is the mean displacement (paper 2.2.2, eq. 8).
+    At nodes on a symmetry plane, half of the force acts on the mirror image of the quarter. The
+    weights of the nodes of a ring add up to one. Therefore, the output of the ring's port is its
+    mean displacement (paper 2.2.2, eq. 8).
     """
     shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
     near = _POSITION_TOLERANCE * solid.places.max()
@@ -296,7 +312,7 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(
-        solid.facet_basis(_find_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
+        solid.facet_basis(_find_facets(solid, solid.places[2].max()), _PRESSURE_QUADRATURE)
     )
     return PortLoad(
         Port(PATCH_PORT, TRANSLATION.port), spread_force(share / share.sum(), UP, solid)
@@ -304,13 +320,13 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
 
 
 def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
-    """Make the springs of one quarter under the bottom face and on the top face.
+    """Make the stiffness matrix of the springs under the bottom face and on the top face.
 
-    The result is None without springs.
+    The matrix [N/m] is for one quarter of the stack. Return None if the stack has no springs.
     """
 
     def face_stiffness(height: float) -> sparse.csc_array:
-        """Return ``int N_i N_j dA`` over the face at a height."""
+        """Return the matrix ``int N_i N_j dA`` over the horizontal face at the ``height`` [m]."""
         basis = solid.facet_basis(_find_facets(solid, height), solid.quadrature + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
@@ -326,6 +342,6 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
 
 
 def _find_facets(solid: Solid, height: float) -> np.ndarray:
-    """Return the facets of a face at a height."""
+    """Return the facets of the horizontal face at the ``height`` [m]."""
     near = _POSITION_TOLERANCE * solid.places.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

@@ -25,16 +25,16 @@ from kc2spice.core.quantities import (
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
-SECTORS = 4  # number of equal quarters of the chip, of which one is modelled
+SECTORS = 4  # number of equal quarters of the chip; the mesh contains only one quarter
 PATCH_PORT = "patch"  # name of the port under a pressure
 PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
 
 
 class ChipMesh(Section):
-    """In-plane polar mesh of a stack.
+    """Mesh of a stack that is polar in the plane of the layers.
 
-    ``refine`` is the number of equal parts into which every edge of a cell is divided, also along
-    the height.
+    The key ``refine`` is the number of equal parts into which each edge of a cell is divided, also
+    along the height.
     """
 
     refine: Count = Field(
@@ -57,14 +57,14 @@ class ChipMesh(Section):
         ge=1,
         le=100,
         description=(
-            "Largest number of layers in one element; the number increases with the depth below "
-            "the top"
+            "Largest number of layers in one element; deeper elements contain more layers than "
+            "elements near the top"
         ),
     )
 
     @model_validator(mode="after")
     def _require_even_sectors(self) -> ChipMesh:
-        """Require an even number of sectors."""
+        """Reject an odd number of sectors."""
         if self.sectors % 2:
             raise invalid_value_error(
                 "sectors must be an even number, so that a mesh line meets the corner of the chip",
@@ -77,7 +77,8 @@ class ChipMesh(Section):
 class ChipDamping(Damping):
     """Damping of the chip.
 
-    The damping ratio applies at the frequency ``at``, by default a frequency of the paper's chip.
+    The damping ratio applies at the frequency ``at``. The default frequency is that of the chip in
+    the paper.
     """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
@@ -87,12 +88,15 @@ class ChipDamping(Damping):
 
     @property
     def beta(self) -> float:
-        """Stiffness coefficient [s]: ``zeta = beta omega / 2`` at ``omega = 2 pi at``."""
+        """Stiffness coefficient ``beta`` [s] of Rayleigh damping.
+
+        The damping ratio is ``zeta = beta omega / 2`` at ``omega = 2 pi at``.
+        """
         return self.rayleigh(0.0)[1]
 
 
 class Cap(Section):
-    """Layer without electric field at one end of a stack.
+    """Inactive layer (without electric field) at one end of a stack.
 
     By default, the layer consists of the unpoled ceramic of the stack.
     """
@@ -110,7 +114,10 @@ DEFAULT_HEIGHT = 2e-3  # m, height of the stack in the paper
 
 
 def _compute_default_height(keys: dict[str, Any]) -> float:
-    """Return the height [m] of all active layers, from the thickness of one layer if given."""
+    """Return the total height [m] of the active layers.
+
+    If the number of layers and the thickness of one layer are given, the height is their product.
+    """
     layers, thickness = keys.get("layers"), keys.get("layer_thickness")
     return DEFAULT_HEIGHT if layers is None or thickness is None else float(layers * thickness)
 
@@ -127,14 +134,14 @@ class Chip(Section):
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular chip")
     depth: Width | None = Field(
-        None, gt=0, description="Second width of a rectangular chip; by default equal to side"
+        None, gt=0, description="Second width of a rectangular chip; by default equal to `side`"
     )
     diameter: Width | None = Field(
         None, gt=0, description="Diameter of a round stack; cannot be combined with the key `side`"
     )
     layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
     layer_thickness: Length | None = Field(
-        None, gt=0, description="Thickness of one layer; cannot be combined with height"
+        None, gt=0, description="Thickness of one layer; cannot be combined with the key `height`"
     )
     height: Extent = Field(
         default_factory=_compute_default_height,
@@ -227,7 +234,7 @@ class Chip(Section):
 
     @property
     def half(self) -> tuple[float, float]:
-        """Half of the stack's size [m] along x and y."""
+        """Half of the stack's width along x and half of its width along y [m]."""
         if self.diameter is not None:
             return self.diameter / 2, self.diameter / 2
         return self.side / 2, (self.side if self.depth is None else self.depth) / 2

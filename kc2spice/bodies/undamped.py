@@ -1,6 +1,6 @@
 """Finite-element models of bodies, and their responses without damping.
 
-The computed values are capacitances, strokes and the lowest resonances.
+Capacitances, strokes per volt and the lowest resonances are computed from these responses.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from kc2spice.core.domains import ACOUSTIC, TRANSLATION
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
-MODE_RESIDUAL = 1e-5  # largest residual of a mode; the frequency error is the squared residual
-# Numbers of computed modes, tried one after another. An unsupported body has up to six rigid-body
-# modes.
+# largest relative residual of an eigenmode; the relative frequency error is its square
+MODE_RESIDUAL = 1e-5
+# Numbers of modes to compute: a larger number is used if the ports excite none of the modes. An
+# unsupported body has up to six rigid-body modes.
 MODE_COUNTS = (4, 8, 40)
-# Smallest share of the static response (mass norm) in a mode that a port excites.
+# A port excites a mode if the mode has more than this share of the static response (mass norm).
 MIN_MODE_SHARE = 0.03
-MAX_REFINEMENTS = 3
+MAX_REFINEMENTS = 3  # number of iterations that correct static responses for the shift
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
@@ -30,10 +31,12 @@ Operator = Callable[[np.ndarray], np.ndarray]
 class FiniteElementModel:
     """Linear model of a solid, and the conversion of its unknowns to values at the nodes.
 
-    For the unknowns z and the voltages V, the displacements are ``u = displacement @ z`` (d
-    nodes,), and the potentials are ``phi = potential @ p + drive @ V`` (nodes,) with ``K_pp p =
-    K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular. ``mass`` [kg] is the
-    mass of the whole body, including fixed nodes. ``faces`` contains the facets of acoustic ports.
+    The unknowns z and the voltages V determine the values at the nodes. The displacements are ``u =
+    displacement @ z``, an array of shape (d nodes,). The potentials are ``phi = potential @ p +
+    drive @ V``, an array of shape (nodes,). The free potentials p solve ``K_pp p = K_up' z + lift
+    V``. ``shift`` [rad^2/s^2] is the factor that makes ``K + shift M`` regular. ``mass`` [kg] is
+    the mass of the whole body, including fixed nodes. ``faces`` maps the names of acoustic ports to
+    facets.
     """
 
     model: LinearModel
@@ -49,9 +52,11 @@ class FiniteElementModel:
     def compute_nodal_values(
         self, z: np.ndarray, voltages: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.
+        """Compute the displacements and the potentials at the nodes.
 
-        Each column of the result is for a column of z (n, k) and of the voltages (e, k).
+        The unknowns ``z`` have the shape (n, k), and the ``voltages`` the shape (e, k). Return
+        displacements of shape (d nodes, k) and potentials of shape (nodes, k). Their column j
+        belongs to column j of ``z`` and of ``voltages``.
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
@@ -62,14 +67,16 @@ class FiniteElementModel:
 
 @dataclass(frozen=True, eq=False)
 class UndampedResponses:
-    """Responses of a model without damping.
+    """Static responses and lowest modes of a model without damping.
 
-    The responses are unknowns (n, …) of the model. ``static`` are the responses to 1 V at each
-    electrical port. ``pushed`` (n, 1) is the response to 1 N at the first mechanical port; without
-    such a port, it is (n, 0). ``modes`` are the lowest modes that these loads excite, with shorted
-    electrical ports. Without electrical ports, ``modes`` are the lowest modes of the body.
-    ``rigid`` are rigid-body modes. ``facts`` maps names to characteristic numbers. The function
-    ``solve`` multiplies by the inverse of the shifted stiffness.
+    Each column of ``static``, ``pushed``, ``modes`` and ``rigid`` contains the n unknowns of the
+    model. A column of ``static`` is the response to 1 V at one electrical port. The column of
+    ``pushed`` is the response to 1 N at the first mechanical port; ``pushed`` has no column if
+    there is no such port. The columns of ``modes`` are the lowest modes that the electrical ports
+    excite, with all electrical ports shorted. In a body without electrical ports, they are the
+    lowest modes that its other ports excite. The columns of ``rigid`` are rigid-body modes.
+    ``facts`` maps names to characteristic numbers. The function ``solve`` multiplies a vector by
+    the inverse of the shifted stiffness ``K + shift M``.
     """
 
     facts: dict[str, float]
@@ -81,20 +88,20 @@ class UndampedResponses:
 
 
 def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> UndampedResponses:
-    """Compute static responses and the lowest resonances without damping.
+    """Compute the static responses and the lowest modes of a model without damping.
 
-    The facts are:
+    ``facts`` of the returned object contains:
 
-    * the capacitance of each electrical port with the other ports shorted. The name of the fact
+    * the capacitance of each electrical port while the other electrical ports are shorted. The key
       contains the name of the port, except for the first port.
-    * the stroke per volt of the first mechanical port. The name of the fact contains the name of
-      the port.
-    * the lowest resonances that the electrical ports excite, with all electrodes shorted, and with
-      all electrodes open. If there are no electrical ports, all ports except acoustic ports excite
-      the modes. If all ports are acoustic, they excite the modes.
+    * the stroke per volt of the first mechanical port. The key contains the name of the port.
+    * the lowest resonance that the electrical ports excite while all electrodes are shorted, and
+      the lowest resonance while all electrodes are open. In a model without electrical ports, all
+      ports except acoustic ports excite the modes. If all ports are acoustic, the acoustic ports
+      excite the modes.
 
-    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. Resonances
-    above the lowest modes are omitted.
+    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. A resonance
+    is omitted from ``facts`` if it is not among the lowest computed modes.
     """
     e = [k for k, port in enumerate(model.ports) if port.electrical]
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
@@ -112,7 +119,11 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
     def solve_with_open_electrodes(f: np.ndarray) -> np.ndarray:
-        """Multiply by ``(K + b C0^-1 b')^-1``; the voltages of open electrodes are -C0^-1 b'u."""
+        """Multiply the forces ``f`` by ``(K + b C0^-1 b')^-1``.
+
+        The voltages of open electrodes are ``-C0^-1 b' u`` for the displacement u, the load b of 1
+        V and the clamped capacitance C0.
+        """
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 
@@ -133,9 +144,10 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 def _solve_static(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute displacements (n, ports) under a constant unit load at each port.
+    """Compute the static displacements under a unit load at each port.
 
-    The first result is for the shifted stiffness, and the second result for K.
+    Return two arrays of shape (n, ports): the displacements for the shifted stiffness ``K + shift
+    M``, and the displacements for the stiffness K.
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
@@ -148,11 +160,12 @@ def _solve_static(
 def _find_resonance(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
-    """Find the lowest resonance [Hz] that the ports excite, and the modes.
+    """Find the lowest resonance that the ports excite, and the lowest modes.
 
-    If none of the lowest modes is excited, the frequency is None. The other results are the modes
-    (n, …) that the ports excite, and the rigid-body modes. The Lanczos method starts from the
-    static responses, so that it finds only modes that the ports excite.
+    Return the frequency [Hz] of the resonance, the modes that the ports excite, and the rigid-body
+    modes. The modes are the columns of arrays with n rows. If the ports excite none of the lowest
+    modes, the frequency is None. The Lanczos method starts from the static responses. Therefore, it
+    finds only modes that the ports excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
