@@ -132,14 +132,14 @@ def _compute_modes(
     Coupling of modes by damping is neglected. A rigid-body mode gets a frequency whose phase over
     the duration ``span`` [s] is negligible.
     """
-    model, V = device.model, _make_basis(device)
+    model, V = device.model, _make_krylov_basis(device)
     K, E, M = model.pencil.project(V).coefficients
     squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
     omega = np.sqrt(np.maximum(squares, (MIN_PHASE / span) ** 2))
     return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
-def _make_basis(device: FiniteElementModel) -> np.ndarray:
+def _make_krylov_basis(device: FiniteElementModel) -> np.ndarray:
     """Make a Krylov basis that contains the lowest modes that the ports excite.
 
     Return q basis vectors as the columns of an array of shape (n, q).
@@ -160,7 +160,7 @@ def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
 
     The projected model has all ports and all losses of the full model.
     """
-    model, V = device.model, _make_basis(device)
+    model, V = device.model, _make_krylov_basis(device)
     pencil = model.pencil.project(V)
     K, E, M = pencil.coefficients
     loss = None if model.loss is None else congruence(model.loss, V, known=True)

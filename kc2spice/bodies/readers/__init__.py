@@ -1,4 +1,4 @@
-"""Readers that convert matrices of other programs to linear models with ports."""
+"""Readers that convert matrices from other finite-element programs to linear models with ports."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ NAME of Matrix Market or Harwell-Boeing files NAME.M .E .K .B .C (first order .A
 mphmatrix struct (COMSOL); JOB_STIF1.mtx (Abaqus); JOB.sti (CalculiX); a punch file with DMIG cards
 or .op4 (Nastran); .full (Ansys); or a TOML file that names the files"""
 
-# description of every key of NAME.toml, for --help and the docs
+# description of every key of NAME.toml
 SIDECAR_KEYS = _sidecar.__doc__ or ""
 
 
 def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearModel:
-    """Read the matrices of another program as a linear model with ports.
+    """Read matrices from another finite-element program as a linear model with ports.
 
     The model is a second-order model ``M x'' + E x' + K x = B u``, ``y = C x + D u``, a first-order
     model ``E x' = A x + B u``, or a heat model ``E x' + K x = B u`` (without M and A). A missing E
@@ -45,7 +45,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     Parameters
     ----------
     path : Path or str
-        Any file of the model, or a TOML file with ``files``. :data:`FORMATS` lists the formats.
+        Any file of the model, or a TOML file with the key ``files``. :data:`FORMATS` lists the
+        formats.
     sidecar : Path or str, optional
         TOML file that names the ports; :mod:`kc2spice.bodies.readers.sidecar` lists its keys. The
         default is ``NAME.toml`` beside the model, if this file exists.
@@ -54,16 +55,16 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     -------
     LinearModel
         Model in SI units. The TOML file defines the ports. Without a TOML file, all ports are
-        signals. Parameters of the TOML file have their default values; :func:`read_affine_model`
+        signals. Parameters in the TOML file have their default values; :func:`read_affine_model`
         returns a model with parameters.
 
     Raises
     ------
-    UsageError : the model does not exist; a file is damaged or too large; a matrix is incomplete,
-    or
-        contains numbers that are not real and finite; or matrices or ports do not match. The
-        message names the file, the key, the wrong input and the expected input.
-    MissingToolError : the format needs a package that is not installed; the message names it.
+    UsageError : the model does not exist, a file is damaged or too large, a matrix is incomplete, a
+        number in a matrix is not real or not finite, or the ports do not match the matrices. The
+        message names the file and the key, the wrong input and the expected input.
+    MissingToolError : the format needs a package that is not installed. The message names this
+        package.
 
     Examples
     --------
@@ -83,7 +84,9 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
 
 def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
-    """Read matrices that depend on parameters; None if the TOML file contains no parameters.
+    """Read matrices that depend on parameters as a model with these parameters.
+
+    The TOML file beside the matrices contains the parameters and the factors of the matrices.
 
     Parameters
     ----------
@@ -95,16 +98,18 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
     Returns
     -------
     AffineModel or None
-        Model in SI units for :func:`kc2spice.reduce`.
+        Model in SI units for :func:`kc2spice.reduce`, or None if the TOML file contains no
+        parameters.
 
     Raises
     ------
-    UsageError : the errors of :func:`read_model`; or a factor is not an expression of the
+    UsageError : an error of :func:`read_model` occurs, or a factor is not an expression of the
         parameters.
 
     Examples
     --------
-    A mass of 10 g is on a spring of 100 N/m, whose stiffness is multiplied by a parameter squared.
+    A mass of 10 g is on a spring of 100 N/m. The stiffness of the spring is multiplied by the
+    square of a parameter.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -125,8 +130,11 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
 def read_any_model(
     path: Path | str, sidecar: Path | str | None = None
 ) -> LinearModel | AffineModel:
-    """Read a model by :func:`read_affine_model` if it has parameters, otherwise by
-    :func:`read_model`."""
+    """Read a model from matrix files, with parameters if its TOML file contains any.
+
+    The model is the same as that of :func:`read_affine_model` if the TOML file contains parameters,
+    otherwise that of :func:`read_model`.
+    """
     rows, terms = _read_rows(path, sidecar)
     settings = rows.sidecar
     model = _assemble_at(rows, terms, get_default_values(settings))
@@ -140,12 +148,15 @@ def read_any_model(
 
 
 def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
-    """Return the full-order model for these parameter values; its matrices are sums of terms."""
+    """Return the full-order model for the given values of its parameters.
+
+    Each matrix of the model is the sum of its constant part and its terms.
+    """
     return assemble_model(replace(rows, matrices=sum_affine_terms(rows.matrices, terms, values)))
 
 
 def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list[AffineTerm]]:
-    """Read the constant matrices of a model and the terms that depend on parameters."""
+    """Read the constant matrices of a model, and its terms that depend on parameters."""
     if not isinstance(path, (str, Path)):
         raise UsageError(
             "this object is not the path of a model",
@@ -166,13 +177,13 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
             hint="add the name of a file in this folder",
         )
     base, files, _, settings = locate_model(path, sidecar)
-    path = files.pop(_SINGLE_FILE, path)  # NAME may mean NAME.npz
+    path = files.pop(_SINGLE_FILE, path)  # the user may write NAME for the file NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
     sound = {
         k: raw.require_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
     }
     if settings.dofs is not None:
-        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _parse_rows)
+        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _parse_row_dofs)
         result = replace(result, dofs=dofs)
     terms = []
     for number, entry in enumerate(settings.terms):
@@ -188,18 +199,22 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
 
 
 def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
-    """Read the matrix of a term, None if the term uses the matrix of the model.
+    """Read the matrix of a term from its file.
+
+    Return None if the term has neither file nor matrix name. Its factor then multiplies the matrix
+    of the model.
 
     Raises
     ------
-    UsageError : a file cannot be used, or the rows of the matrix differ from those of the model.
+    UsageError : a file cannot be used, or the rows of the term's matrix differ from the rows of the
+        model.
     """
     if entry.file is None and entry.name is None:
         return None
     letter, file = entry.matrix, entry.file or path
     if entry.name is not None and file.suffix.lower() not in NAMED_FORMATS:
         expected = f"a file whose name ends with {', '.join(NAMED_FORMATS)}"
-        hint = "write the matrix into a file of its own, and give file alone"
+        hint = "write the matrix into a separate file, and delete the key name of this term"
         raise wrong(
             where, "this file format does not contain names of matrices", file.name, expected, hint
         )
@@ -224,13 +239,13 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
 
 
 def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
-    """Measure the size (3,) [m] of the mesh that the TOML file names.
+    """Measure the extent [m] of a model's mesh along x, y and z.
 
-    The result is None if the file names no mesh.
+    Return None if the TOML file of the model does not contain the key ``mesh``.
 
     Raises
     ------
-    UsageError : the sidecar or the mesh contains an error.
+    UsageError : the TOML file or the mesh file contains an error.
     """
     *_, settings = locate_model(path, sidecar)
     if settings.mesh is None:
@@ -240,10 +255,12 @@ def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     )
 
 
-# suffixes that may follow NAME.K or NAME_K
+# file extensions that may follow NAME.K or NAME_K
 _MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-_SINGLE_FILE = ""  # key of a single file with all matrices, for a name without suffix
+# Key of a single file that contains all matrices. It is used if the user writes the name of a model
+# without a file extension.
+_SINGLE_FILE = ""
 _MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS_EXPECTED = (
     "an archive by numpy.savez(FILE, M=M, K=K, B=B); a scipy.sparse K as K.data, K.indices, "
@@ -251,8 +268,9 @@ _ARRAYS_EXPECTED = (
 )
 _JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
-# Description and reader of each format that contains all matrices in one file, keyed by suffix. The
-# reader receives the names of the matrices that the sidecar states.
+# Description and reader of each format that contains all matrices in one file, keyed by file
+# extension. The second argument of a reader is the mapping `matrices` in the TOML file, which
+# contains the names of matrices inside the file.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS_EXPECTED, raw.read_matrix_archive),
     ".mat": (_MATLAB_EXPECTED, raw.make_unpacker(raw.unpack_matlab)),
@@ -267,11 +285,13 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] 
 
 
 def list_source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
-    """List the existing files that belong to a model by their names or by its TOML file.
+    """List the existing files of a model.
+
+    The names of these files begin with the name of the model, or are in its TOML file.
 
     Raises
     ------
-    UsageError : the sidecar contains an error.
+    UsageError : the TOML file contains an error.
     """
     base, files, selected, settings = locate_model(path, sidecar)
     paths = [
@@ -288,13 +308,15 @@ def list_source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
 
 
 def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
-    """Return the path of a model, its matrix files, its TOML file and the content of this file.
+    """Locate the files of a model, and read its TOML file.
 
-    The TOML file may be missing, unless ``sidecar`` is its path.
+    Return the path of the model without file extension, its matrix files keyed by letter, the path
+    of its TOML file, and the content of the TOML file. The TOML file may be missing if ``sidecar``
+    is None.
 
     Raises
     ------
-    UsageError : the sidecar contains an error.
+    UsageError : the TOML file contains an error.
     """
     base, files = _find_files(path)
     default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
@@ -304,7 +326,10 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
 
 
 def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
-    """Find the path of a model without suffixes, and its files that contain one matrix each."""
+    """Find the files of a model that contain one matrix each.
+
+    Return the path of the model without file extension, and the files keyed by letter.
+    """
     job = codes.find_matrix_files(path)
     if job:
         match = codes.ABAQUS_NAME.fullmatch(path.name)
@@ -312,7 +337,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
-    match = _MATRIX_FILE.fullmatch(path.name)  # NAME.K may mean NAME.K.mtx
+    match = _MATRIX_FILE.fullmatch(path.name)  # the user may write NAME.K for NAME.K.mtx
     if match is not None and not raw.is_file(path):
         tails = () if match[4] else _MATRIX_SUFFIXES[1:]
         if not any(raw.is_file(path.with_name(path.name + tail)) for tail in tails):
@@ -322,7 +347,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     result: dict[str, Path] = {}
     for letter in raw.LETTERS:
         candidates = list(map("".join, product((base.name,), separators, letter, _MATRIX_SUFFIXES)))
-        if "_" in separators:  # the name NAME_K of a matrix file needs a suffix
+        if "_" in separators:  # a file NAME_K is a matrix file only with a file extension
             candidates.remove(f"{base.name}_{letter}")
         fits = list(filter(raw.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
@@ -345,7 +370,11 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
 
 
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
-    """Read the matrices of a model as the files contain them."""
+    """Read the matrices of a model without any conversion.
+
+    ``files`` contains a file for each matrix. If it is empty, ``path`` contains all matrices.
+    ``requested`` maps letters to the names of matrices in this file.
+    """
     suffix = path.suffix.lower()
     if files:
         return _read_matrices(files)
@@ -375,7 +404,7 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
 
 
 def _read_matrices(files: dict[str, Path]) -> raw.Raw:
-    """Read one matrix from each file: Matrix Market, Harwell-Boeing or Abaqus."""
+    """Read one matrix from each file in the Matrix Market, Harwell-Boeing or Abaqus format."""
     result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []
@@ -413,13 +442,16 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
 
 
 def _read_head(path: Path) -> bytes:
-    """Return the first bytes of a file."""
+    """Return the first 2000 bytes of a file, without a byte-order mark."""
     with raw.require_file(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 
 
-def _parse_rows(data: bytes) -> raw.Dofs:
-    """Parse lines that contain a node and a degree of freedom, one line for each matrix row."""
+def _parse_row_dofs(data: bytes) -> raw.Dofs:
+    """Parse the nodes and the degrees of freedom of matrix rows.
+
+    The data contain a line ``node, degree of freedom`` for each row.
+    """
     values = parse_numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"expected an even number of values (node, dof), got {values.size}")

@@ -1,4 +1,7 @@
-"""Assembly of a linear model with ports from the matrices in files and a sidecar."""
+"""Assembly of a linear model with ports from matrix files and the TOML file beside them.
+
+The TOML file is called *sidecar* in the code. :class:`Rows` contains the matrices and the sidecar.
+"""
 
 from __future__ import annotations
 
@@ -35,17 +38,17 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import LinearModel, Port, stores_one_triangle, with_potentials
 from kc2spice.rom.pencil import Matrix
 
-# largest imaginary part of a row that is a rounding error, relative to the real part
+# Imaginary parts in the rows of potentials are rounding errors up to this ratio to the real parts.
 IMAGINARY_ROUNDING = 1e-12
 
 
 def assemble_model(rows: Rows) -> LinearModel:
-    """Assemble the model of ``rows`` in SI units with the ports of its sidecar.
+    """Assemble the linear model of ``rows`` in SI units, with the ports in its TOML file.
 
     Raises
     ------
-    UsageError : a matrix is missing, superfluous, zero, incomplete or of the wrong shape; or a
-        degree of freedom or node does not exist. The message contains file and key.
+    UsageError : a matrix is missing, superfluous, zero, incomplete or of the wrong shape, or a
+        degree of freedom or node does not exist. The message contains the file and the key.
     """
     rows = replace(rows, matrices=_match_letters(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
@@ -56,10 +59,10 @@ def assemble_model(rows: Rows) -> LinearModel:
 
 
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
-    """Rename a damping matrix C to E, because C denotes the outputs in this package.
+    """Rename a damping matrix C to E, because C denotes the output matrix in this package.
 
-    A square C beside M and K may contain the damping or the outputs. If the sidecar does not state
-    which, it causes an error.
+    A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
+    the TOML file does not state which of them it is.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
@@ -96,7 +99,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
             f"at most {MAX_NARROW_ENTRIES} numbers in C",
             f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
         )
-    # C is the output matrix of a model without damping
+    # here, C is the output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
@@ -106,9 +109,8 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     """Return all matrices of the model, keyed by letter, and check that their shapes match.
 
     A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
-    file contains only one triangle of a matrix, the sidecar must state ``symmetric = true``, and
-    the triangle is mirrored; otherwise an error is raised. Zero matrices other than E also cause an
-    error.
+    file contains only one triangle of a matrix, the TOML file must contain the key ``symmetric``.
+    The triangle is mirrored if the key is true. Zero matrices other than E cause an error.
     """
     matrices = dict(rows.matrices)
     stiffness = matrices.get("K")
@@ -144,7 +146,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
             square[letter] = complete_triangle(square[letter])
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
-            expected = f"what symmetric = true in {rows.sidecar.where} says"
+            expected = f"symmetric matrices, as stated in {rows.sidecar.where}"
             hint = f"write  symmetric = false  into {rows.name}.toml"
             raise wrong(
                 rows.where, f"matrix {letter} is not symmetric", expected=expected, hint=hint
@@ -162,16 +164,17 @@ def _select_square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]
 
 
 def _select_entries(matrix: Matrix, keep: np.ndarray) -> Matrix:
-    """Select rows and columns of a sparse matrix."""
+    """Select the rows and columns of a sparse matrix with the indices ``keep``."""
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of the matrices of a model, with their nodes and degrees of freedom.
+    """Matrices of a model, with the node and the degree of freedom of each row.
 
-    ``raw`` is the content of the model's files. The ``sidecar`` contains units, supports and ports.
-    ``where`` is the path that errors quote. ``matrices`` maps letters to matrices.
+    ``raw`` is the content of the matrix files. ``sidecar`` is the content of the TOML file: units,
+    supports and ports. ``where`` is the path of the model in error messages. ``matrices`` maps
+    letters to matrices.
     """
 
     name: str
@@ -184,13 +187,13 @@ class Rows:
 
     @property
     def size(self) -> int:
-        """Number of rows."""
+        """Number of rows of the square matrices."""
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:
-        """Return the nodes and degrees of freedom of the rows.
+        """Return the node and the degree of freedom of each matrix row.
 
-        ``where`` is the key of the sidecar that needs them, for errors.
+        ``where`` is the table of the TOML file that needs the nodes, for error messages.
         """
         dofs = self.raw.dofs
         if dofs is None:
@@ -212,10 +215,10 @@ class Rows:
         return dofs
 
     def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
-        """Find the rows of degrees of freedom at the nodes of ``place``.
+        """Find the matrix rows of the degrees of freedom at the nodes that ``place`` selects.
 
-        The result contains one array of rows for each kind of degree of freedom in ``kinds``.
-        Without ``kinds``, it contains one array with the rows of all degrees of freedom.
+        Return an array of row numbers for each degree of freedom in ``kinds``. If ``kinds`` is
+        empty, return one array with the rows of all degrees of freedom at these nodes.
         """
         where = self.sidecar.of(place)
         dofs, mesh = self.dofs(where), self.sidecar.mesh
@@ -236,7 +239,7 @@ class Rows:
             low, high = dofs.node.min(), dofs.node.max()
             got = f"node {', '.join(map(str, missing[:5]))}"
             expected = f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which the "
-            expected += "tool has not constrained itself"
+            expected += "finite-element program has not constrained"
             nearest = int(dofs.node[np.argmin(np.abs(dofs.node - missing[0]))])
             hint = f"write {nearest} in place of {missing[0]}, or another free node"
             raise wrong(where, "the matrices have no such node", got, expected, hint)
@@ -245,14 +248,17 @@ class Rows:
             if not len(result):
                 kinds_here = np.unique(dofs.kind[here]).tolist()
                 expected = ", ".join(map(DOFS.__getitem__, kinds_here))
-                hint = "the tool may have removed it because it is constrained"
+                hint = "use another node; the finite-element program may have fixed these nodes"
                 raise wrong(
                     where, "these nodes have no such degree of freedom", DOFS[kind], expected, hint
                 )
         return rows if kinds else [np.flatnonzero(here)]
 
     def convert_to_si(self) -> Mapping[str, Matrix]:
-        """Convert the matrices to metres and newtons, so that virtual work is in joules."""
+        """Convert the matrices to metres and newtons.
+
+        In this way, the product of forces and displacements is in joules.
+        """
         settings = self.sidecar
         length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
         if length == force == 1:
@@ -274,7 +280,10 @@ class Rows:
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
     def fixed(self) -> np.ndarray:
-        """Return a mask (rows,) of the degrees of freedom that the files or the sidecar fix."""
+        """Return a mask of the matrix rows whose degrees of freedom are fixed.
+
+        They are fixed in the matrix files or in the TOML file.
+        """
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
@@ -284,7 +293,10 @@ class Rows:
     # --- ports ------------------------------------------------------------------------------------
 
     def load(self, entry: PortEntry) -> np.ndarray:
-        """Compute the column of B of a port, or the row of C of an output."""
+        """Return the column of B for an input or a conservative port, or the row of C of an output.
+
+        The vector has one value for each matrix row.
+        """
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)
         where, load = self.sidecar.of(entry), np.zeros(self.size)
@@ -298,7 +310,7 @@ class Rows:
             return -np.asarray(self.matrices["M"] @ load)
         result = self.find(entry, tuple(entry.weights))
         for rows, weight in zip(result, entry.weights.values(), strict=True):
-            # the product of this vector with x is the mean displacement
+            # the product of this vector with the unknowns is the mean displacement of the nodes
             load[rows] += weight / len(rows)
         if not load[~self.fixed()].any():
             raise UsageError(
@@ -310,12 +322,12 @@ class Rows:
         return load
 
     def _select_load(self, entry: PortEntry) -> np.ndarray:
-        """Select the column of B or the row of C of a port.
+        """Return the column of B or the row of C whose number is in the table of a port.
 
-        For a conservative port, the row and the column must be equal.
+        For a conservative port, the row of C with the same number must be equal to the column.
         """
         B = self.matrices.get("B", np.zeros((self.size, 0)))
-        # C is the matrix in the files, or the transpose of B
+        # without C in the files, the output matrix is the transpose of B
         C = self.matrices.get("C", B.T)
         where, place = self.sidecar.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
@@ -334,7 +346,10 @@ class Rows:
         return load
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
-        """Compute B, C, D over all rows, and the ports in the sequence of the sidecar."""
+        """Return the matrices B, C and D, and the ports in the sequence of the TOML file.
+
+        B and C contain all matrix rows, including those of fixed degrees of freedom.
+        """
         settings = self.sidecar
         if not settings.ports:
             return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
@@ -359,7 +374,7 @@ class Rows:
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
-        # D applies to ports whose columns and rows are given as numbers in the sidecar
+        # D applies only to ports that are defined by the numbers of a column and a row
         if "D" in self.matrices:
             numbers = np.array([entry.row or entry.column or 0 for entry in settings.ports])
             D = np.pad(self.matrices["D"], 1)[np.ix_(numbers[outputs], numbers[inputs])]
@@ -372,7 +387,7 @@ class Rows:
 
 
 def _assemble_mechanical(rows: Rows) -> LinearModel:
-    """Assemble a model without electrodes, including all its damping."""
+    """Assemble a model without electrodes at nodes, and add the damping in its TOML file."""
     settings = rows.sidecar
     keep = np.flatnonzero(~rows.fixed())
     if not keep.size:
@@ -384,9 +399,9 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
-    if empty.size:  # an unknown that no matrix contains is a gap in the numbering
+    if empty.size:  # an unknown that is in no matrix is a gap in the numbering
         problem, expected = "a row is zero in all matrices", "no gaps in the numbering"
-        got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
+        got = f"row {empty[0] + 1} of the free rows; zero rows in all: {empty.size}"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
         raise wrong(rows.where, problem, got, expected, hint)
     B, C, D, ports = rows.ports()
@@ -428,8 +443,8 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
 def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     """Assemble a model with electrodes at nodes, and eliminate all other potentials exactly.
 
-    The matrix of the program is ``[[K_uu, K_up], [K_up', -K_pp]]``, as in files of Ansys and
-    Abaqus.
+    The stiffness matrix K in the files is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus
+    write it.
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
@@ -493,11 +508,15 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
 def _split_loss(
     rows: Rows, K: Matrix, potential: np.ndarray
 ) -> tuple[Matrix, sparse.csc_array | None]:
-    """Split a complex K into its real part and the loss of the displacements.
+    """Split a complex stiffness matrix K into its real part and its imaginary part.
+
+    The imaginary part is the structural damping of the displacements; it is None for a real K.
+    ``potential`` is a mask of the rows of potentials.
 
     Raises
     ------
-    UsageError : rows of potentials have an imaginary part, or the TOML file states another loss.
+    UsageError : rows of potentials have an imaginary part, or the TOML file contains a
+        ``loss_factor``.
     """
     if not np.iscomplexobj(K):
         return K, None

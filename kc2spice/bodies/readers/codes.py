@@ -1,28 +1,28 @@
 """Readers of the matrix formats of finite-element programs.
 
-The command ``*MATRIX GENERATE`` of Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` and others.
-With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), a text file contains lines ``node, dof, node, dof,
-value`` of one triangle. With ``FORMAT=COORDINATE``, it contains lines ``row column value`` of both
-triangles, without the names of the rows. If a boundary condition of the step fixes a degree of
-freedom, its diagonal entry of the stiffness is 1e36.
+The command ``*MATRIX GENERATE`` of Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` and similar
+files. With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), a file contains lines ``node, dof, node, dof,
+value`` for one triangle of a matrix. With ``FORMAT=COORDINATE``, it contains lines ``row column
+value`` for both triangles, but not the nodes of the rows. If a boundary condition of the step fixes
+a degree of freedom, its diagonal entry in the stiffness matrix is 1e36.
 
 The command ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` of CalculiX writes ``JOB.sti``, ``JOB.mas`` and
 ``JOB.dof``. The matrix files contain lines ``row column value``. The file ``JOB.dof`` contains
 ``node.direction`` for each row; the direction is 1 to 6, or 0 for temperature.
 
-Ansys writes the binary ``.full`` file, which the package ansys-mapdl-reader of Ansys reads. The
-command ``HBMAT`` writes Harwell-Boeing files, and a file that maps rows to nodes. scipy's
-``hb_read`` rejects symmetric matrices. There may be no blanks between fields, so that fields are
-separated by the widths in the header (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing
-Sparse Matrix Collection, 1992).
+Ansys writes binary ``.full`` files, which are read by the package ansys-mapdl-reader. The command
+``HBMAT`` of Ansys writes Harwell-Boeing files, and a file that maps rows to nodes. These files are
+parsed here, because scipy's ``hb_read`` rejects symmetric matrices. There may be no blanks between
+fields, so that fields are separated by the widths in the header (Duff, Grimes, Lewis, Users' Guide
+for the Harwell-Boeing Sparse Matrix Collection, 1992).
 
-Nastran writes DMIG cards of a punch file, and OUTPUT4 files, which pyyeti reads. ``K...`` is the
-stiffness, ``K4...`` its structural damping, ``M...`` the mass and ``B...`` the viscous damping. The
-key ``matrices`` of the sidecar may state other names. DMIG cards may have large, small or free
-fields (MSC Nastran Quick Reference Guide).
+Nastran writes punch files with DMIG cards, and OUTPUT4 files, which are read by the package pyyeti.
+Names that begin with ``K`` denote the stiffness, with ``K4`` the structural damping, with ``M`` the
+mass, and with ``B`` the viscous damping. The key ``matrices`` in the TOML file may state other
+names. DMIG cards may have large, small or free fields (MSC Nastran Quick Reference Guide).
 
-Structural damping is the imaginary part H of a complex stiffness ``K + j H``. Files contain H as
-the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` of Nastran, or
+Structural damping is the imaginary part H of a complex stiffness matrix ``K + j H``. Files contain
+H as the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` in Nastran files, or
 ``JOB_DMPS2.mtx`` of Abaqus.
 """
 
@@ -42,17 +42,20 @@ from kc2spice.bodies.readers import raw
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.io import complete_triangle, parse_indices, parse_numbers
 
-LOSS_LETTER = "H"  # letter of structural damping, in K + j H
+LOSS_LETTER = "H"  # letter of the structural damping matrix H in the complex stiffness K + j H
 ABAQUS_NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
 _ABAQUS_LETTERS = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS_LETTER}
-_FIXED_STIFFNESS = 1e35
+_FIXED_STIFFNESS = 1e35  # smallest diagonal stiffness of a fixed degree of freedom in Abaqus files
 _COMMENT_LINE = re.compile(rb"^\*.*\n?", re.MULTILINE)
 _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
-SUFFIXES = (".sti", ".mas", ".dof")
+SUFFIXES = (".sti", ".mas", ".dof")  # extensions of the stiffness, mass and row files of CalculiX
 
 
 def find_matrix_files(path: Path) -> dict[str, Path]:
-    """Return the matrix files of the same job and step as ``path``, keyed by matrix letter."""
+    """Return the Abaqus matrix files of the same job and step as ``path``.
+
+    The keys are matrix letters. Return no files if ``path`` is not the name of such a file.
+    """
     match = ABAQUS_NAME.fullmatch(path.name)
     if match is None:
         return {}
@@ -66,12 +69,14 @@ def find_matrix_files(path: Path) -> dict[str, Path]:
 
 
 def read_abaqus(files: dict[str, Path]) -> raw.Raw:
-    """Read matrices from the Abaqus files of one job, keyed by letter.
+    """Read the matrices of an Abaqus job.
+
+    ``files`` contains the file of each matrix, keyed by letter.
 
     Raises
     ------
-    UsageError : a file is damaged or too large, formats are mixed, or entries do not belong to one
-    matrix.
+    UsageError : a file is damaged or too large, the files have different formats, or the matrices
+        do not match.
     """
     tables, formats, dofs = dict[str, raw.Triple](), set[bool](), None
     for letter, path in files.items():
@@ -94,7 +99,9 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
 
 
 def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace K by ``K + j H`` if there is a matrix H of structural damping.
+    """Return the matrices with ``K + j H`` instead of K, if there is a matrix H.
+
+    H is the structural damping matrix. It is removed from the mapping.
 
     Raises
     ------
@@ -113,10 +120,11 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
-    """Parse the rows, columns and values of a matrix.
+    """Parse the rows, columns and values of the entries in an Abaqus matrix file.
 
-    The first result is whether lines contain nodes and degrees of freedom. If they do, rows and
-    columns are keys of both (:func:`compute_row_keys`); otherwise they are numbers from 0.
+    Return whether the lines contain nodes and degrees of freedom, and the entries. If they do, rows
+    and columns are the keys of :func:`compute_row_keys`; otherwise, they are indices counted from
+    0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)
@@ -139,7 +147,9 @@ def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
 
 
 def read_calculix(path: Path, _: object) -> raw.Raw:
-    """Read the stiffness and mass of a job from the path of one of its files.
+    """Read the stiffness and mass matrices of a CalculiX job.
+
+    ``path`` is any of the files of this job. The second argument has no effect.
 
     Raises
     ------
@@ -163,11 +173,11 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
 
 
 def _parse_dofs(data: bytes) -> raw.Dofs:
-    """Return the nodes and degrees of freedom of a ``.dof`` file."""
+    """Parse the node and the degree of freedom of each row in a ``.dof`` file of CalculiX."""
     words = data.split()
     if not 0 < len(words) <= raw.MAX_ROWS:
         raise ValueError(f"{len(words)} rows")
-    # 12.3 means component 3 of node 12; it is not a decimal number
+    # 12.3 means direction 3 of node 12; it is not a decimal number
     pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
@@ -176,7 +186,7 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
-    """Return the entries of one triangle of a CalculiX file."""
+    """Return the symmetric matrix with ``n`` rows whose triangle is in a CalculiX file."""
     values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
         raise ValueError(f"{values.size} numbers do not fill 3 columns; the file may be truncated")
@@ -189,8 +199,8 @@ def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
     return raw.complete_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
-# numbers of degrees of freedom in this file, counted from 0
-_ANSYS_KINDS = dict(enumerate((
+# names of the degrees of freedom in `.full` files of Ansys, keyed by number (counted from 0)
+_ANSYS_DOF_NAMES = dict(enumerate((
     "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
     "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
 )))  # fmt: skip
@@ -200,14 +210,14 @@ HARWELL_BOEING_EXPECTED = (
 _FORTRAN_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _MATRIX_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
 _MAX_LINE_LENGTH = 10_000  # largest number of characters of a line
-_ANSYS_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
+_ANSYS_ROTATION_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Return the stiffness and mass in a ``.full`` file as arrays of an archive.
+    """Return the stiffness and mass matrices in a ``.full`` file as named arrays of an archive.
 
-    The array ``fixed`` contains the degrees of freedom that Ansys constrains. ``requested`` is
-    ignored.
+    The array ``fixed`` contains the indices of the rows that Ansys constrains. The argument
+    ``requested`` has no effect.
 
     Raises
     ------
@@ -216,8 +226,8 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     file = import_optional("ansys.mapdl.reader.full", path).FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
-    kind = np.array([raw.DOF_NUMBERS[_ANSYS_KINDS[int(k)]] for k in place[:, 1]])
-    # the rows of these unknowns are empty
+    kind = np.array([raw.DOF_NUMBERS[_ANSYS_DOF_NAMES[int(k)]] for k in place[:, 1]])
+    # the rows of constrained degrees of freedom are empty
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)
     key = np.array([64, 1])
     fixed = np.flatnonzero(np.isin(place[:, :2] @ key, const @ key))
@@ -236,10 +246,10 @@ def is_harwell_boeing(head: bytes) -> bool:
 def read_harwell_boeing(
     data: bytes, allowed: Callable[[tuple[int, int], int], None]
 ) -> sparse.csc_array:
-    """Return the matrix in the content of a file, with both triangles.
+    """Return the matrix in a Harwell-Boeing file, with both triangles.
 
-    Before memory is allocated, ``allowed(shape, entries)`` is called. It raises an error if the
-    declared size is too large.
+    ``data`` is the content of the file. The function ``allowed(shape, entries)`` raises an error if
+    the declared size of the matrix is too large. It is called before memory is allocated.
 
     Raises
     ------
@@ -285,7 +295,10 @@ def read_harwell_boeing(
 
 
 def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
-    """Parse ``number`` values of ``width`` characters, ``repeat`` on each line."""
+    """Parse ``number`` values from fields of fixed width.
+
+    Each field has ``width`` characters, and each line has ``repeat`` fields.
+    """
     if len(lines) * repeat < number:
         raise ValueError(
             f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
@@ -300,7 +313,9 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
 
 
 def read_mapping(data: bytes, size: int) -> raw.Dofs:
-    """Read the nodes and degrees of freedom of ``size`` equations from an Ansys mapping.
+    """Parse the node and the degree of freedom of each row in an Ansys mapping file.
+
+    ``size`` is the number of rows. A row is called an equation in the file.
 
     Raises
     ------
@@ -312,7 +327,7 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     if len(rows) != size or set(map(len, rows)) != {3}:
         raise ValueError(f"{len(rows)} equations")
     equations, nodes, freedoms = zip(*rows, strict=True)
-    names = [_ANSYS_NAMES.get(name.upper(), name.lower()) for name in freedoms]
+    names = [_ANSYS_ROTATION_NAMES.get(name.upper(), name.lower()) for name in freedoms]
     unknown = sorted(set(names) - set(raw.DOF_NUMBERS))
     if unknown:
         raise ValueError(f"the file has the unknown degree of freedom {unknown[0]}")
@@ -325,19 +340,25 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     return raw.Dofs(node, kind)
 
 
-# Matrix letters, keyed by the beginning of Nastran's matrix names.
+# matrix letters, keyed by the first letters of matrix names in Nastran files
 _NASTRAN_PREFIXES = {"K": "K", "K4": LOSS_LETTER, "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
-_SQUARE = 1
-_SYMMETRIC = 6
+# numbers of matrix forms in Nastran files
+_SQUARE_FORM = 1
+_SYMMETRIC_FORM = 6
 
 
 def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
-    """Assign matrices of the file to the letters M, E, K, A, B, C, D.
+    """Assign the matrices in a Nastran file to matrix letters.
+
+    ``names`` are the names of the matrices in the file. ``requested`` maps letters to names. If it
+    is empty, the first letters of the names determine the matrix letter. Return a mapping of
+    letters to names.
 
     Raises
     ------
-    UsageError : the file does not contain a requested matrix, or two matrices suit one letter.
+    UsageError : the file does not contain a requested matrix, or the names of two matrices fit the
+        same letter.
     """
     known = {name.upper(): name for name in names}
     selected = {}
@@ -352,7 +373,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
             raise raw.make_unusable_error(
-                path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint
+                path, f"matrices {', '.join(fits)}", f"one matrix {letter}", hint
             )
         selected[letter] = fits[0]
     if not selected:
@@ -363,14 +384,18 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
 
 
 def _find_standard_letter(name: str) -> str | None:
-    """Return the letter that the beginning of a matrix name means; None if unknown."""
+    """Return the matrix letter that the first letters of a Nastran matrix name denote.
+
+    Return None if these letters are unknown.
+    """
     return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 
 
 def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
-    """Read the matrices of the DMIG cards in ``path``.
+    """Read the matrices in the DMIG cards of a Nastran file.
 
-    Grid point and component identify the rows.
+    ``requested`` maps letters to the names of matrices in the file. A grid point and a component
+    identify each row.
 
     Raises
     ------
@@ -379,18 +404,22 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     expected = "square DMIG cards"
     forms, entries = raw.parse_file(path, expected, _parse_dmig)
     selected = choose_matrices(
-        [n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path
+        [n for n, f in forms.items() if f in (_SQUARE_FORM, _SYMMETRIC_FORM)], requested, path
     )
     triples = {letter: entries[name] for letter, name in selected.items()}
     matrices, dofs = raw.make_matrices_by_letter(triples)
     for letter, name in selected.items():
-        if forms[name] == _SYMMETRIC:
+        if forms[name] == _SYMMETRIC_FORM:
             matrices[letter] = raw.complete_triangles(matrices[letter])
     return raw.Raw(add_structural_loss(matrices), dofs)
 
 
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
-    """Parse the forms of the matrices, keyed by name, and the keys and values of their entries."""
+    """Parse the DMIG cards of a Nastran file.
+
+    Return the number of each matrix's form, and the row keys, column keys and values of its
+    entries. Both mappings are keyed by the name of the matrix.
+    """
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}
     entries: dict[str, list[tuple[complex, ...]]] = {}
@@ -419,10 +448,11 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
 
 
 def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
-    """Return the function that converts the two fields of an entry to its value.
+    """Return a function that converts the two fields of a matrix entry on a DMIG card to a number.
 
-    A real matrix uses the first field. A complex matrix uses both fields: real and imaginary part,
-    or magnitude and angle [degrees].
+    In a real matrix, the first field is the value. In a complex matrix, the fields are real and
+    imaginary part, or magnitude and angle [degrees] if ``polar`` is true. ``kind`` is the type
+    number on the header card of the matrix ``name``.
     """
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}")
@@ -438,9 +468,9 @@ def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, s
 
 
 def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the fields of each card with this ``name``, including continuation lines.
+    """Yield the fields of each card with the ``name`` in Nastran bulk data.
 
-    Fields of bulk data may be small, large or free.
+    The fields include those of continuation lines. Fields may be small, large or free.
     """
     cells: list[str] = []
     for line in data.decode("ascii", "replace").splitlines():
@@ -457,7 +487,7 @@ def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
 
 
 def _split_fields(line: str) -> list[str]:
-    """Split a line into the fields of bulk data."""
+    """Split a line of Nastran bulk data into its fields."""
     if "," in line:
         cells = line.split(",")[1:9]
         return cells + [""] * (8 - len(cells))
@@ -466,7 +496,7 @@ def _split_fields(line: str) -> list[str]:
 
 
 def _parse_component(text: str) -> int:
-    """Return the number of a component, 0 for a blank field."""
+    """Parse the number of a component (degree of freedom) on a DMIG card; a blank field is 0."""
     value = int(text.strip() or 0)
     if not 0 <= value <= 6:
         raise ValueError(f"component {value}")
@@ -474,12 +504,15 @@ def _parse_component(text: str) -> int:
 
 
 def parse_fortran_number(text: str) -> float:
-    """Parse a number in a notation of Fortran: 1.5D+7, or 1.5+7."""
+    """Parse a number in Fortran notation, such as 1.5D+7 or 1.5+7."""
     return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 
 
 def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """Read the matrices of an OUTPUT4 file, text or binary, as arrays of an archive.
+    """Return the matrices in an OUTPUT4 file as named arrays of an archive.
+
+    The file may be a text file or a binary file. ``requested`` maps letters to the names of
+    matrices in the file.
 
     Raises
     ------
@@ -495,7 +528,7 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
     matrices = {}
     for letter, name in selected.items():
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
-        matrices[letter] = raw.complete_triangles(matrix) if form == _SYMMETRIC else matrix
+        matrices[letter] = raw.complete_triangles(matrix) if form == _SYMMETRIC_FORM else matrix
     result: dict[str, np.ndarray] = {}
     for letter, matrix in add_structural_loss(matrices).items():
         result |= raw.pack_matrix(letter, matrix)

@@ -1,16 +1,17 @@
-"""Complex responses from columns of numbers, and their admittances.
+"""Conversion of columns of numbers to complex responses and admittances.
 
-The input is the tables of a file, or vectors with titles. The output is a
+The input is the tables in a file, or vectors with titles. The output is a
 :class:`MeasuredResponse`. A file with two possible meanings is rejected, and the error describes
 both meanings.
 
-The gain through a shunt is measured with a resistor R in series with the part. The gain is the
-voltage across the shunt divided by the source voltage::
+The gain through a shunt is measured with a resistor R (the shunt) in series with the part Z. The
+gain g is the voltage across the shunt divided by the source voltage::
 
     g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
 
-A reflection ``S = 1 - 2 g`` with the reference resistance R has the same admittance. The gain of a
-passive part is at most 1. If a measured ratio is mostly above 1, it is the inverse of the gain.
+The reflection ``S = 1 - 2 g`` with the reference resistance R represents the same admittance Y. The
+gain of a passive part is at most 1. If most samples of a measured gain are above 1, the file
+contains the inverse of the gain.
 """
 
 from __future__ import annotations
@@ -45,15 +46,15 @@ from kc2spice.bodies.readers.titles import (
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates
 
-DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
-# smallest number of frequencies, for the four parameters of a resonance and an estimate of the
-# noise
+DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S parameters if the file states none
+# Smallest number of frequencies. It suffices for the four parameters of a resonance and an estimate
+# of the noise.
 MIN_FREQUENCIES = 12
-# Largest median relative difference of two responses from different columns that agree. It is
-# larger than rounding errors of columns.
+# Two responses from different columns agree if the median of their relative difference is at most
+# this. It is larger than the rounding errors of the columns.
 AGREEMENT_LIMIT = 0.05
-# Largest ratio of the number of reversals of the frequency to the number of its steps, in a table
-# of sweeps with at least 10 rows.
+# A table contains several sweeps if the frequency reverses after at most this share of its steps.
+# More reversals mean that the frequencies are not sorted.
 MAX_REVERSAL_SHARE = 0.1
 MAX_TITLE_LENGTH = 50  # number of characters of titles in an error that also lists unknown titles
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
@@ -62,11 +63,12 @@ ONE_PART_HINT = "delete the columns or lines of the other one"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(EqualByContent):
-    """Measured ``samples`` (n, ports, ports) of a ``quantity`` at frequencies ``f`` (n,) [Hz].
+    """Measured frequency response of a part.
 
-    ``Y`` are the admittances of the samples, and ``reference`` (ports,) [Ohm] the reference
-    resistances of S. ``notes`` are assumptions that the reader made, and ``columns`` describes the
-    meaning of the columns.
+    ``samples`` of shape (n, ports, ports) are values of the ``quantity`` S, Z or Y at the
+    frequencies ``f`` (n,) [Hz]. ``Y`` contains the admittances [S] of the samples, an array of the
+    same shape. ``reference`` (ports,) [Ohm] contains the reference resistances of S parameters.
+    ``notes`` are assumptions of the reader, and ``columns`` describes the meaning of the columns.
     """
 
     f: np.ndarray
@@ -79,9 +81,10 @@ class MeasuredResponse(EqualByContent):
 
 
 def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Convert samples ``P`` of S, Z or Y to admittances (n, ports, ports).
+    """Convert samples ``P`` of S, Z or Y to admittances.
 
-    ``z0`` (ports,) are the reference resistances of S.
+    Both arrays have the shape (n, ports, ports). ``z0`` (ports,) [Ohm] contains the reference
+    resistances of S parameters.
     """
     one = np.eye(P.shape[1])
     try:
@@ -95,7 +98,10 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
 
 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
-    """Make the error for a file with more than one possible meaning."""
+    """Make the error for a file with more than one possible meaning.
+
+    ``readings`` describes the possible meanings.
+    """
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     expected = f"a file with one meaning, not {listed}"
     return UsageError(
@@ -106,7 +112,10 @@ def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageE
 def find_response(
     tables: Sequence[TextTable], shunt: float | None, suffix: str
 ) -> MeasuredResponse:
-    """Find the response in the tables of a file with this ``suffix``.
+    """Find the only frequency response in the tables of a file.
+
+    ``shunt`` [Ohm] is the resistance through which a gain was measured, and ``suffix`` is the file
+    extension.
 
     Raises
     ------
@@ -131,7 +140,7 @@ def find_response(
 
 
 def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
-    """Find the response in one table."""
+    """Return the frequency response in one table of a file with the extension ``suffix``."""
     if table.titles is not None and any(map(is_frequency, table.titles)):
         return combine_response(table.titles, table.numbers, shunt, table.notes)
     suffix_titles = SUFFIX_TITLES.get(suffix)
@@ -153,7 +162,7 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace the default titles of a file type by titles of the same quantity in comments.
+    """Replace default titles of columns by titles of the same quantity in comment lines.
 
     Raises
     ------
@@ -176,7 +185,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Response from a combination of columns: ``samples`` (n,) and titles of the columns."""
+    """Response from two columns: the columns, their combination, and the ``samples`` (n,)."""
 
     combination: Combination
     columns: tuple[Column, ...]
@@ -188,7 +197,12 @@ class _ColumnPair(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedColumns(EqualByContent):
-    """Columns keyed by quantity, complex columns, unknown titles, and problems with titles."""
+    """Columns of a table, sorted by the meaning of their titles.
+
+    ``by_quantity`` contains the real columns, keyed by quantity. ``complex_columns`` contains the
+    title, quantity and values of each column of complex numbers. ``unknown`` are titles without a
+    known meaning, and ``problems`` are error messages about titles.
+    """
 
     by_quantity: dict[str, list[Column]]
     complex_columns: list[tuple[str, Quantity, np.ndarray]]
@@ -202,21 +216,22 @@ def combine_response(
     shunt: float | None = None,
     notes: Sequence[str] = (),
 ) -> MeasuredResponse:
-    """Combine columns of ``numbers`` (n,) with ``titles`` to a response.
+    """Combine the columns of a table to a frequency response.
 
-    ``shunt`` is the resistance [Ohm] through which a gain was measured.
+    ``numbers`` contains an array of shape (n,) for each of the ``titles``. ``shunt`` is the
+    resistance [Ohm] through which a gain was measured, and ``notes`` are assumptions of the parser.
 
     Raises
     ------
-    ValueError : there is no column of frequencies, or no two columns determine an impedance.
-    UsageError : columns contradict each other; or there is a gain without a shunt, or a shunt
+    ValueError : there is no frequency column, or no two columns determine an impedance.
+    UsageError : columns contradict each other, a gain is given without a shunt, or a shunt is given
         without a gain.
     """
     if len(titles) != len(numbers):
         raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
     columns = classify_columns(titles, numbers)
     _require_complete(titles, columns, shunt)
-    frequency = _require_agreement("f", columns.by_quantity["f"])
+    frequency = _select_agreeing_column("f", columns.by_quantity["f"])
     f = frequency.values
     _require_one_sweep(f)
     notes = [*notes, *map("not used: {}".format, columns.problems)]
@@ -242,7 +257,9 @@ def combine_response(
 
 
 def _require_one_sweep(f: np.ndarray) -> None:
-    """Raise an error if nonzero frequencies (n,) neither increase nor decrease.
+    """Raise an error if the nonzero frequencies of a table are not sorted.
+
+    They may increase or decrease.
 
     Raises
     ------
@@ -262,7 +279,7 @@ def _require_one_sweep(f: np.ndarray) -> None:
 
 
 def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> ClassifiedColumns:
-    """Classify columns by the meaning of their titles."""
+    """Classify the columns of a table by the meaning of their titles."""
     result = ClassifiedColumns({}, [], [], [])
     for text, values in zip(titles, numbers, strict=True):
         try:
@@ -288,7 +305,10 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
 def _require_complete(
     titles: Sequence[str], columns: ClassifiedColumns, shunt: float | None
 ) -> None:
-    """Raise an error if there is no column of frequencies, or no complete combination."""
+    """Raise an error if the columns do not determine an impedance at known frequencies.
+
+    A gain determines an impedance only if the resistance of the ``shunt`` is given.
+    """
     names = set(columns.by_quantity)
     complete = [c for c in COMBINATIONS if set(c.columns) <= names]
     gains = list(filter(attrgetter("shunt"), complete))
@@ -337,7 +357,7 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
 
 
 def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns) -> UsageError:
-    """Return the error of a frequency beside only one half of an impedance."""
+    """Make the error for a table that contains only one of the two columns of an impedance."""
     names = set(columns.by_quantity) - {"f"}
     shared = [item for item in COMBINATIONS if names & set(item.columns)]
     partners = dict.fromkeys(chain.from_iterable(item.columns for item in shared))
@@ -352,12 +372,12 @@ def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns
     )
 
 
-def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
-    """Return the first column of a quantity; raise an error if other columns differ.
+def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Column:
+    """Return the first of several columns of the same quantity.
 
     Raises
     ------
-    UsageError : the values differ.
+    UsageError : the values of these columns differ by more than the agreement limit.
     """
     first, *others = candidates
     for other in others:
@@ -368,14 +388,15 @@ def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
 
 
 def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[Column, Column]:
-    """Select the columns of a combination.
+    """Select the two columns of a combination.
 
-    If there are several candidates for the first column, it has the channel of the second column.
+    If there are several candidates for the first column, the column of the same measuring channel
+    as the second column is selected.
 
     Raises
     ------
-    UsageError : several columns of one quantity differ, and no channel is stated that shows which
-        columns belong together.
+    UsageError : several columns of one quantity differ, and their titles do not contain channels
+        that show which columns belong together.
     """
     first, second = combination.columns
     sizes, others = columns.by_quantity[first], columns.by_quantity[second]
@@ -383,17 +404,24 @@ def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[
     if len(sizes) > 1 and len(others) == 1 and channel:
         same = [column for column in sizes if _find_channel(column) == channel]
         sizes = same if len(same) == 1 else sizes
-    return _require_agreement(first, sizes), _require_agreement(second, others)
+    return _select_agreeing_column(first, sizes), _select_agreeing_column(second, others)
 
 
 def _find_channel(column: Column) -> str:
-    """Return the channel in the title of a column, such as ``channel 2``; "" without a channel."""
+    """Return the measuring channel in the title of a column, such as ``channel 2``.
+
+    Return an empty string if the title contains no channel.
+    """
     match = CHANNEL_PATTERN.search(column.title.text)
     return match[0].lower() if match else ""
 
 
 def _compute_relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the median difference relative to ``b`` (n,) at finite, nonzero points."""
+    """Return the median of the relative differences between the arrays ``a`` and ``b``.
+
+    The differences are relative to ``b``. Points at which a value is zero or not finite are
+    omitted.
+    """
     with np.errstate(all="ignore"):
         ratio = np.abs(a / b - 1)
     ratio = ratio[np.isfinite(ratio) & (b != 0) & (a != 0)]
@@ -405,13 +433,15 @@ def _combine_columns(
 ) -> list[_ColumnPair]:
     """Compute the responses of all combinations of columns, and check that they agree.
 
+    Return one pair of columns for each combination that the table contains.
+
     Raises
     ------
     UsageError : two combinations of columns give different responses.
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # name of the magnitude that has this phase
+    # quantity of the magnitude to which a column with the title phase belongs
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns
@@ -429,13 +459,16 @@ def _combine_columns(
             > AGREEMENT_LIMIT
         ):
             got = f"columns that differ, first at {f[0]:g} Hz"
-            hint = "check the units of these columns, or delete those that are wrong"
+            hint = "check the units of these columns, or delete the wrong columns"
             raise make_ambiguity_error(got, (str(best), str(other)), hint)
     return readings
 
 
 def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
-    """Compute the admittance (n,) of a response; S has the default reference resistance."""
+    """Compute the admittance (n,) of a response from two columns.
+
+    S parameters have the default reference resistance.
+    """
     x = reading.samples
     if reading.combination.quantity == "Y":
         return x
@@ -443,7 +476,10 @@ def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Convert a gain through a shunt [Ohm] to a reflection, its reference resistance and a note."""
+    """Convert a gain that was measured through a shunt [Ohm] to a reflection.
+
+    Return the reflection, its reference resistance [Ohm], and a note about the gain.
+    """
     inverse = bool(np.median(np.abs(gain)) > 1)
     ratio = "source over shunt" if inverse else "shunt over source"
     gain = 1 / gain if inverse else gain
@@ -454,7 +490,7 @@ def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, st
 def _make_complex_response(
     frequency: Column, columns: ClassifiedColumns, titles: Sequence[str], notes: Sequence[str]
 ) -> MeasuredResponse:
-    """Return the response that a table contains as one column of complex numbers."""
+    """Make the response of a table that contains one column of complex numbers."""
     text, quantity, samples = columns.complex_columns[0]
     if len(columns.complex_columns) > 1:
         readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]
@@ -472,7 +508,10 @@ def _make_complex_response(
 
 
 def describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
-    """Describe the titles that are not ``used``; empty if all are used."""
+    """Return a list of the titles that are not ``used`` as a string, for messages.
+
+    The string is empty if all titles are used.
+    """
     names = set(map(str.strip, used))
     unused = [title for title in map(str.strip, titles) if title and title not in names]
     return f"; not used: {', '.join(unused)}" if unused else ""
@@ -486,7 +525,10 @@ def _make_response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """Make the response of samples (n,) of one port, and omit rows at frequency zero."""
+    """Make the response of a part with one port from samples of shape (n,).
+
+    Samples at frequency zero are omitted.
+    """
     f, samples = f[f != 0], samples[f != 0]
     matrix, z0 = samples[:, None, None], np.array([reference])
     Y = convert_to_admittance(quantity, matrix, z0)

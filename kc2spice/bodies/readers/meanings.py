@@ -1,12 +1,14 @@
-"""Columns of measuring instruments: quantities, units, titles and combinations.
+"""Kinds of columns in files of measuring instruments: quantities, units, titles and combinations.
 
-This module contains only data. A new kind of column is added as one row.
+This module contains only data. A new kind of column needs only one more entry of
+:data:`COLUMN_KINDS`.
 
-- :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
-- :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
-- :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
-- :mod:`kc2spice.bodies.readers.thermal_transient` reads a time and one of
-  :data:`TRANSIENT_QUANTITIES`.
+- :mod:`kc2spice.bodies.readers.titles` uses :data:`COLUMN_KINDS` and :data:`UNITS` to parse titles.
+- :mod:`kc2spice.bodies.readers.text_table` uses :data:`TRACE_FORMAT` and similar patterns to find
+  the quantities of traces.
+- :mod:`kc2spice.bodies.readers.complex_response` uses :data:`COMBINATIONS` to combine columns.
+- :mod:`kc2spice.bodies.readers.thermal_transient` uses :data:`TRANSIENT_QUANTITIES` to find the
+  column of a thermal transient.
 """
 
 from __future__ import annotations
@@ -21,13 +23,14 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-# prefixes that are accepted in upper and lower case, because the other case is no other prefix
+# Prefixes above one. In the wrong letter case, these prefixes are accepted for frequencies. For
+# other quantities, k and the prefixes below one are accepted in the wrong letter case.
 CASE_FREE_PREFIXES = "kMGT"
-# Spellings of each unit, keyed by measured quantity, with the SI value of the unit. Titles with a
-# capital letter are matched case-sensitively; all others ignore case.
+# Spellings of units and the SI value of each unit, keyed by measured quantity. The letter case of a
+# unit in a file matters only for spellings that contain a capital letter in this table.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    # in a wrong code page, the letter omega is read as an O
+    # some programs write the letter O instead of omega because of a wrong code page
     "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
@@ -43,13 +46,14 @@ UNITS: dict[str, dict[str, float]] = {
                     "°f": 5 / 9, "degf": 5 / 9},
     "thermal impedance": {"k/w": 1.0, "k_per_w": 1.0, "k_w": 1.0, "°c/w": 1.0, "c/w": 1.0},
 }  # fmt: skip
-REPLACED_LETTERS = {"O": "Ohm"}  # wrong letters of units in titles, and the correct units
+REPLACED_LETTERS = {"O": "Ohm"}  # wrong letter of a unit in a title, and the correct unit
+# unit of each measured quantity if a title contains no unit
 DEFAULT_UNITS = {
     "frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F",
     "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
     "time": "s", "temperature": "K", "thermal impedance": "K/W",
 }  # fmt: skip
-# units without prefixes
+# units that do not have SI prefixes
 UNITS_WITHOUT_PREFIX = (
     "°",
     "db",
@@ -65,21 +69,22 @@ UNITS_WITHOUT_PREFIX = (
     "degf",
     "min",
 )
-# columns of phases, which are within one turn for passive parts
+# columns of phases that are within one turn for passive parts
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad: one turn plus 1 % for noise
-# An angle without a unit is in rad if its largest magnitude is at most the first value and its
-# range is above the second value.
+# Limits [rad] for angles without a stated unit. Such an angle is in rad if its largest magnitude is
+# at most the first limit and its range is above the second limit; otherwise it is in degrees.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
 @dataclass(frozen=True)
 class ColumnKind:
-    """Kind of column: its quantity, and the pattern of its title.
+    """Kind of a column: its quantity, and the pattern of its title.
 
-    ``measures`` are the kinds of units that the column may have; the first is the default.
-    ``names`` is the pattern of the title in small letters, without sign, unit, blanks and words
-    that instruments add. If ``needs_unit`` is true, the title alone does not identify the column.
+    ``measures`` contains the keys in :data:`UNITS` of the units that the column may have; the first
+    key is the default. ``names`` is the regular expression of the title. It does not contain sign,
+    unit, blanks and words that instruments add, and all letters are lower-case. If ``needs_unit``
+    is true, a title without a unit does not identify the quantity.
     """
 
     quantity: str
@@ -95,11 +100,14 @@ _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
 def _make_affix_pattern(of: str, word: str) -> str:
-    """Return the pattern of a word before or after a letter, as in ``magz`` and ``zmag``."""
+    """Return the regular expression of a word before or after a letter, as in ``magz``, ``zmag``.
+
+    ``of`` is the letter and ``word`` is the regular expression of the word.
+    """
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
-_SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature
+_SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature in a semiconductor package
 SOUND_QUANTITY = "sound pressure"  # quantity that does not determine an impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
@@ -176,7 +184,7 @@ COLUMN_KINDS = (
     ColumnKind("zth", ("thermal impedance",), "z", needs_unit=True),
     ColumnKind(SOUND_QUANTITY, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
-# Names of quantities in messages, where they differ from the names of the columns.
+# names of quantities in messages, if they differ from the key `quantity` of the column kind
 QUANTITY_LABELS = {
     "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
     "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
@@ -184,31 +192,33 @@ QUANTITY_LABELS = {
     **{name: name.upper() for name in ("r", "x", "g", "b", "c", "d", "q")},
     **{name: name.capitalize() for name in ("rp", "cp", "cs", "lp", "ls")},
 }  # fmt: skip
+# patterns of the titles of columns with complex numbers, keyed by quantity
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
-# Primes after Z or Y, and whether they denote the real or the imaginary part. ZPlot writes Z'(a)
-# and Z''(b).
+# Patterns of primes after Z or Y, and the part of the complex number that they denote. The program
+# ZPlot writes Z'(a) and Z''(b).
 PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
-# Words that instruments add to a title.
+# words that instruments add to a title, and that do not affect its meaning
 ADDED_WORDS = re.compile(
     r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
     r"secondary|in|log|lin|linear"
 )
-# channel to which a column belongs
+# channel of a measurement in the title of a column
 CHANNEL_PATTERN = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
-# Default titles of a table without titles, keyed by file suffix.
+# titles of a table without titles, keyed by file extension
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
     ".frd": ("Frequency (Hz)", "Gain (dB)", "Phase (deg)"),
 }
-# possible meanings of three columns without titles in any other file
+# possible meanings of three columns without titles in a file with any other file extension
 UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
-# Columns of a trace whose quantity is stated in a line ``FORMAT: |Z|`` above the table.
+# Titles of columns that contain a trace. A line such as ``FORMAT: |Z|`` above the table states the
+# quantity of the trace.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
-# A format that is only the scale of an axis. Then a line above all traces contains the quantities
-# of traces A and B, such as ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
+# Formats that state only the scale of an axis. In this case, a line above all traces contains the
+# quantities of traces A and B, such as ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
 TRACE_SCALE = re.compile(r"lin(ear)?( [xy])?|log( [xy])?", re.I)
 TRACE_NAME = re.compile(r"\W*trace\s*:\s*([ab])\W*", re.I)
 TRACE_PARAMETERS = re.compile(r"\W*measure parameter\s*:\s*(.*\S)", re.I)
@@ -216,9 +226,10 @@ TWO_PARTS = re.compile(
     r"(?P<of>impedance|admittance) (?P<a>\w+) (?P<b>\w+( \(\w+\))?)|"
     r"(?P<first>\S+)\s*-\s*(?P<second>\S+)", re.I
 )  # fmt: skip
+# titles of the real and imaginary part of a trace with a complex format
 COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
                    "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
-# columns without a quantity, and their possible quantities
+# titles that do not state a quantity, and the possible quantities of their columns
 UNSTATED_QUANTITIES = {
     "formatteddata": "real and imaginary part of S11 or Z; or one real quantity beside zeros"
 }
@@ -226,9 +237,11 @@ UNSTATED_QUANTITIES = {
 
 @dataclass(frozen=True)
 class Combination:
-    """Columns that determine a ``quantity``: angles in rad, w in rad/s.
+    """Two columns that determine a complex ``quantity``.
 
-    If ``shunt`` is true, the value is the gain from a source to a resistor in series with the part.
+    The function ``value`` computes the quantity from both columns (angles in rad) and the angular
+    frequency w [rad/s]. If ``shunt`` is true, the quantity is the gain from a source to a resistor
+    in series with the part.
     """
 
     columns: tuple[str, str]

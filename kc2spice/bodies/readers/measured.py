@@ -1,12 +1,13 @@
-"""Measured responses from Touchstone files, tables and MATLAB files.
+"""Readers of measured responses in Touchstone files, tables and MATLAB files.
 
 The columns of a table have titles, in any sequence (:mod:`kc2spice.bodies.readers.meanings`). A
-measured file contains a column of frequencies and the columns of one combination. Semicolons, tabs,
-commas or blanks separate fields. A comma that does not separate columns is a decimal comma.
+table must contain a frequency column and two columns that determine an impedance, such as |Z| and
+phase. Semicolons, tabs, commas or blanks separate fields. A comma that does not separate columns is
+a decimal comma.
 
-Variables of a MATLAB file have the same names as columns. A complex variable is ``z``, ``y`` or
-``s`` with the shape (n,) or (ports, ports, n) for n frequencies. ``z0`` is the reference resistance
-of ``s``.
+The names of variables in a MATLAB file are those of columns. A complex variable has the name ``z``,
+``y`` or ``s``, and the shape (n,) or (ports, ports, n) for n frequencies. The variable ``z0`` is
+the reference resistance of ``s``.
 """
 
 from __future__ import annotations
@@ -53,25 +54,29 @@ from kc2spice.core.quantities import quantity as parse_quantity
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
-MAX_BYTES = 20_000_000
-# largest number of frequencies; no analyser measures more frequencies, and a fit would take hours
+MAX_BYTES = 20_000_000  # largest size of a text file
+# Largest number of frequencies. No analyser measures more frequencies, and a fit to more
+# frequencies would take hours.
 MAX_FREQUENCIES = 20_000
-# Largest ratio of negative resistance to |Z| that is noise. If a tenth of the points exceed it, the
-# part is active.
+# A negative conductance is noise up to this ratio to |Y|. If the ratio is larger at a tenth of the
+# points, the part is active.
 ACTIVE_RATIO = 0.05
 _TOUCHSTONE_SUFFIX = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
+# names of the reference resistance in MATLAB files
 _RESISTANCE_NAMES = ("z0", "r0", "zref", "reference")
 _MATRIX_NAME = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # name of a matrix file such as NAME_K.txt
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredAdmittance(EqualByContent):
-    """Admittance ``Y`` (n, ports, ports) [S] at frequencies ``f`` (n,) [Hz].
+    """Measured admittance of a part, and the samples from which it was computed.
 
-    ``samples`` (n, ports, ports) are values of the measured ``quantity``: ``"S"``, ``"Z"`` or
-    ``"Y"``; by default, they are ``Y``. ``reference`` (ports,) [Ohm] are the reference resistances
-    of S. ``notes`` are assumptions that the reader made, and ``columns`` the columns that it used.
+    ``Y`` is the admittance [S] at the frequencies ``f`` (n,) [Hz], an array of shape (n, ports,
+    ports). ``samples`` are the values of the measured ``quantity`` ``"S"``, ``"Z"`` or ``"Y"``, an
+    array of the same shape; None means that the samples are ``Y``. ``reference`` (ports,) [Ohm]
+    contains the reference resistances of S parameters. ``notes`` are assumptions of the reader, and
+    ``columns`` describes the columns that it used.
     """
 
     name: str
@@ -86,17 +91,16 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Text with the columns, the number of points and the frequency range of the file."""
+        """Columns, number of points and frequency range of the file, as a string for messages."""
         span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
         return f"{self.columns}; {span}" if self.columns else span
 
     @property
     def measured_noise(self) -> float:
-        """Standard deviation of a component (real or imaginary part) of the measured quantity.
-
-        The noise of Z and Y is relative to each entry. It is estimated from the median size of
-        third differences, which are almost zero for a smooth response. Entries that are zero have
-        no noise.
+        """Standard deviation of the noise in the measured quantity's real or imaginary part.
+        For Z and Y, the standard deviation is relative to the magnitude of each matrix entry. It is
+        estimated from the median magnitude of third differences between samples, which are almost
+        zero for a smooth response. Entries that are zero have no noise.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -106,9 +110,10 @@ class MeasuredAdmittance(EqualByContent):
 
     @cached_property
     def admittance_noise(self) -> np.ndarray:
-        """Standard deviation (n, ports, ports) [S] of one component of each entry of Y.
+        """Standard deviation of the noise in the real or imaginary part of each entry of Y.
 
-        It is the first-order effect of independent noise in the measured entries::
+        The array [S] has the shape (n, ports, ports). The noise of Y is the first-order effect of
+        independent noise in the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 
@@ -128,15 +133,19 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def noise(self) -> float:
-        """Median over the samples of the relative standard deviation of a component of Y."""
+        """Median of the relative noise in the real or imaginary part of Y.
+
+        The noise is a standard deviation relative to the magnitude of each entry of Y.
+        """
         size = np.abs(self.Y)
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def relative_noise(self, norm: Norm) -> float:
-        """Return the rms noise of the complex Y in the norm of an error estimate.
+        """Return the relative rms noise of the complex Y in the norm of an error estimate.
 
-        In the norm *pointwise*, the noise is relative to each entry, and in the norm *peak* to the
-        largest size of the entry. The result is the noise of the entry with the largest noise.
+        In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
+        frequency. In the norm *peak*, it is relative to the largest magnitude of the entry at all
+        frequencies. The returned number is the noise of the entry with the largest noise.
         """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size
@@ -145,7 +154,10 @@ class MeasuredAdmittance(EqualByContent):
 
 
 def is_measured(path: Path) -> bool:
-    """Return whether a path has the name of a file with a measured response."""
+    """Return whether a file contains a measured response.
+
+    The file name determines this. A ``.mat`` file must also contain a frequency variable.
+    """
     by_suffix = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix) or is_table(path)
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
@@ -156,19 +168,19 @@ def is_measured(path: Path) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file name is the name of a table, not of a matrix."""
+    """Return whether the name of a file is that of a table and not that of a matrix file."""
     return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 
 def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
-    """Read the response of a Touchstone file, a table or a MATLAB file.
+    """Read the measured response in a Touchstone file, a table or a MATLAB file.
 
     ``shunt`` is the resistance [Ohm] in series with the part through which a gain was measured.
 
     Raises
     ------
-    UsageError : the file is missing, damaged or too large; it has too few points or unknown
-    columns; or the response is active, a short circuit or an open circuit.
+    UsageError : the file is missing, damaged or too large, contains too few points or no known
+        columns, or its response is that of an active part, a short circuit or an open circuit.
     """
     match = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix)
     expected = "a table with a frequency and two columns of impedance, admittance or reflection"
@@ -185,7 +197,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
             return _read_matlab(_load_variables(path, path.stat().st_mtime), shunt)
         if match:
             text = _read_text(path)
-            _require_no_shunt(shunt, "a Touchstone file")
+            _reject_shunt(shunt, "a Touchstone file")
             return parse_touchstone(text, int(match[2] or 0))
         return find_response(load_tables(path), shunt, path.suffix.lower())
 
@@ -195,7 +207,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
         raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT)
-    f, order = np.unique(f, return_index=True)  # ascending frequencies without repetitions
+    f, order = np.unique(f, return_index=True)  # increasing frequencies without repetitions
     order = order[f > 0]
     if not len(order):
         hint = "export the file again, with the lines of numbers"
@@ -220,17 +232,19 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         raise make_unusable_error(
             path, f"{len(order)} frequencies", f"at most {MAX_FREQUENCIES}", hint
         )
-    _require_conducting(result)
-    _require_passive(result)
+    _reject_open_circuits(result)
+    _reject_active_parts(result)
     return result
 
 
 def parse_shunt_resistance(shunt: str | float | None) -> float | None:
-    """Return the resistance [Ohm] of the option ``--shunt``, None without the option.
+    """Parse the resistance [Ohm] that is the argument of the option ``--shunt``.
+
+    Return None if the option is missing.
 
     Raises
     ------
-    UsageError : the value is not a positive resistance.
+    UsageError : the argument is not a positive resistance.
     """
     if shunt is None:
         return None
@@ -248,25 +262,28 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
 
 
 def load_tables(path: Path) -> Sequence[TextTable]:
-    """Read the tables of a file, the longest first.
+    """Read all tables in a file, and sort them from the longest to the shortest.
 
     Raises
     ------
-    ValueError : the errors of :func:`kc2spice.bodies.readers.text_table.read_tables`; or the file
-        is too large.
+    ValueError : the file is too large, or
+        :func:`kc2spice.bodies.readers.text_table.read_tables` rejects its text.
     """
     return _parse_tables(_read_text(path))
 
 
-# The tables are stored, because several readers parse the same text to determine the kind of a
-# file.
+# The tables of the last file are cached, because several readers parse the same text to determine
+# the kind of the file.
 @lru_cache(maxsize=1)
 def _parse_tables(text: str) -> Sequence[TextTable]:
     return tuple(read_tables(text))
 
 
 def _read_text(path: Path) -> str:
-    """Read the text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
+    """Read the text of a file.
+
+    The encoding is UTF-8, UTF-16 with a byte order mark, or Latin-1.
+    """
     data = read_bounded(path, MAX_BYTES)
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16")
@@ -276,8 +293,11 @@ def _read_text(path: Path) -> str:
         return data.decode("latin-1")
 
 
-def _require_no_shunt(shunt: float | None, content: str) -> None:
-    """Reject a shunt for a file that contains an impedance."""
+def _reject_shunt(shunt: float | None, content: str) -> None:
+    """Reject a ``shunt`` resistance for a file that does not contain a gain.
+
+    ``content`` describes the file in the error message.
+    """
     if shunt is None:
         return
     raise UsageError(
@@ -289,11 +309,11 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
     )
 
 
-def _require_conducting(data: MeasuredAdmittance) -> None:
-    """Reject an open circuit, because deviations are divided by the admittance.
+def _reject_open_circuits(data: MeasuredAdmittance) -> None:
+    """Reject a response whose admittance is zero, because a fit divides errors by the admittance.
 
-    For one port, deviations are divided by the admittance at each frequency, and for several ports
-    by the largest admittance.
+    For a part with one port, errors are divided by the admittance at each frequency. For a part
+    with several ports, they are divided by the largest admittance of each port.
     """
     still = np.einsum("fii->fi", data.Y) == 0
     one = still.shape[1] == 1
@@ -313,8 +333,12 @@ def _require_conducting(data: MeasuredAdmittance) -> None:
     )
 
 
-def _require_passive(data: MeasuredAdmittance) -> None:
-    """Raise an error if the real part of Y has a negative eigenvalue beyond noise."""
+def _reject_active_parts(data: MeasuredAdmittance) -> None:
+    """Reject a response whose conductance matrix has negative eigenvalues that exceed the noise.
+
+    The conductance matrix is the Hermitian part of Y. It may have such eigenvalues at less than a
+    tenth of the frequencies.
+    """
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]
     bad = least < -max(ACTIVE_RATIO, 5 * data.noise) * size
@@ -334,12 +358,15 @@ def _require_passive(data: MeasuredAdmittance) -> None:
 
 @lru_cache(maxsize=1)
 def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
-    """Load the numeric arrays of a MATLAB file that contains no matrices of a model."""
+    """Load the numeric arrays of a MATLAB file with a measured response.
+
+    The time ``changed`` of the last change to the file is a part of the cache key.
+    """
     return call_in_process(read_vectors, path)
 
 
 def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
-    """Convert real vectors (columns) or a complex array of a MATLAB file to a response."""
+    """Convert the real vectors or the complex array in a MATLAB file to a frequency response."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
         raise ValueError(f"no variable is the frequency; the variables are {', '.join(variables)}")
@@ -352,7 +379,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     kinds = [(kind, name) for kind, name in pairs if _has_quantity(name, kind)]
     if not kinds:
         return combine_response(list(columns), list(columns.values()), shunt)
-    _require_no_shunt(shunt, "complex numbers in a MATLAB file")
+    _reject_shunt(shunt, "complex numbers in a MATLAB file")
     quantity, name = kinds[0]
     P = variables[name]
     if P.ndim == 3 and P.shape[2] == n and P.shape[0] == P.shape[1]:
@@ -379,12 +406,12 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
 
 
 def _has_quantity(name: str, quantity: Quantity) -> bool:
-    """Return whether ``name`` is a usual name of a complex array of this quantity."""
+    """Return whether ``name`` is a known name of a complex array of the ``quantity``."""
     kind = find_complex_quantity(name)
     return kind is not None and kind[0] == quantity
 
 
 def _find_unit_factor(name: str) -> float:
-    """Return the SI value of the unit in the name of an array; 1 without a unit."""
+    """Return the value in SI units of the unit in an array name, or 1 if it contains no unit."""
     kind = find_complex_quantity(name)
     return kind[1] if kind else 1.0

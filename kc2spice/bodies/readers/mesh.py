@@ -1,8 +1,11 @@
 """Node coordinates and node sets from input files of finite-element programs.
 
-The formats are: Abaqus and CalculiX ``.inp`` (``*NODE``, ``*NSET``, one instance), Nastran bulk
-data (``GRID`` in the basic coordinate system), Ansys ``.cdb`` (``NBLOCK``, ``CMBLOCK``), and
-``.csv`` with lines ``node, x, y, z``.
+The formats are:
+
+* Abaqus and CalculiX ``.inp`` with ``*NODE`` and ``*NSET``, and at most one instance,
+* Nastran bulk data with ``GRID`` in the basic coordinate system,
+* Ansys ``.cdb`` with ``NBLOCK`` and ``CMBLOCK``,
+* ``.csv`` with lines ``node, x, y, z``.
 """
 
 from __future__ import annotations
@@ -23,9 +26,11 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 @dataclass(frozen=True, eq=False)
 class NodeMesh:
-    """Nodes of a mesh: numbers (n,), coordinates (n, 3), and node sets, keyed by name.
+    """Nodes and node sets of a mesh.
 
-    The coordinates are in the unit of the file. The names of node sets are in capital letters.
+    ``node`` (n,) contains the numbers of the nodes, and ``at`` (n, 3) their coordinates in the unit
+    of the file. ``sets`` contains the node numbers of each node set, keyed by the name of the set
+    in capital letters. ``where`` is the path of the mesh file.
     """
 
     where: str
@@ -34,11 +39,13 @@ class NodeMesh:
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
     def nodeset(self, name: str, where: str) -> np.ndarray:
-        """Return the numbers of the nodes in a set.
+        """Return the numbers of the nodes in the node set ``name``.
+
+        ``where`` is the key that contains the name, for error messages.
 
         Raises
         ------
-        UsageError : the set does not exist, or is empty.
+        UsageError : the node set does not exist, or is empty.
         """
         result = self.sets.get(name.upper())
         if result is None or not len(result):
@@ -46,13 +53,14 @@ class NodeMesh:
         return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
-        """Return the number of the node that is nearest to ``place``.
+        """Return the number of the node that is nearest to the point ``place``.
 
-        The distance must be at most ``within``, by default 1e-6 of the size of the mesh.
+        The distance between node and point must be at most ``within``, by default 1e-6 times the
+        size of the mesh. ``where`` is the key that contains the point, for error messages.
 
         Raises
         ------
-        UsageError : no node is near enough.
+        UsageError : no node is within this distance.
         """
         distance = np.linalg.norm(self.at - np.asarray(place), axis=1)
         best = int(distance.argmin())
@@ -67,12 +75,14 @@ class NodeMesh:
 
 
 def read_nodes(path: Path) -> NodeMesh:
-    """Read the nodes and node sets of a file, whose suffix determines the format.
+    """Read the nodes and node sets in a mesh file.
+
+    The file extension determines the format.
 
     Raises
     ------
-    UsageError : the file is damaged, or contains several instances, transformed coordinates, or no
-        nodes.
+    UsageError : the file is damaged, has an unknown format, or contains several instances,
+        transformed coordinates, or no nodes.
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:
@@ -107,32 +117,32 @@ def _decode_lines(data: bytes) -> list[str]:
 
 
 def _split_cells(line: str) -> list[str]:
-    """Split a line at its commas into words without blanks around them."""
+    """Split a line at its commas into words, and remove the blanks around each word."""
     return list(map(str.strip, line.split(",")))
 
 
 def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
-    """Parse up to three coordinates; missing coordinates are 0."""
+    """Parse up to three coordinates of a node; missing coordinates are 0."""
     values = [parse_fortran_number(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 
 
 class _NodeSets(dict[str, list[int]]):
-    """Node sets, keyed by name, with a limit of their total size.
+    """Node sets, keyed by name, with a limit of the total number of nodes.
 
-    The limit is necessary because a short text may define a large range of nodes.
+    The limit is necessary because a few characters in a file may define a large range of nodes.
     """
 
     def add(self, name: str, members: Sequence[int]) -> None:
-        """Add nodes to a set."""
+        """Add the nodes ``members`` to the node set ``name``."""
         if len(members) + sum(map(len, self.values())) > MAX_ROWS:
             raise ValueError(f"the node sets have more than {MAX_ROWS} nodes")
         self.setdefault(name, []).extend(members)
 
 
 def _parse_keywords(data: bytes) -> Content:
-    """Parse an input file of Abaqus or CalculiX."""
+    """Parse the nodes and node sets in an input file of Abaqus or CalculiX."""
     nodes: Nodes = {}
     sets = _NodeSets()
     keyword, options, instances = "", dict[str, str](), 0
@@ -170,7 +180,7 @@ def _parse_keywords(data: bytes) -> Content:
 
 
 def _parse_bulk_data(data: bytes) -> Content:
-    """Parse bulk data of Nastran."""
+    """Parse the nodes in bulk data of Nastran."""
     nodes: Nodes = {}
     for cells in list_bulk_data_cards(data, "GRID"):
         number, system, *place = map(str.strip, cells[:5])
@@ -181,9 +191,10 @@ def _parse_bulk_data(data: bytes) -> Content:
 
 
 def _parse_blocks(data: bytes) -> Content:
-    """Parse the commands NBLOCK and CMBLOCK of nodes that Ansys writes.
+    """Parse the nodes and node sets in a ``.cdb`` file of Ansys.
 
-    A line of NBLOCK contains ``i,i,i,x,y,z`` in fields of fixed width.
+    Nodes follow the command ``NBLOCK``. Each line contains a node number, two other integers and
+    the coordinates x, y, z, in fields of fixed width. A node set follows the command ``CMBLOCK``.
     """
     nodes: Nodes = {}
     sets = _NodeSets()
@@ -191,7 +202,8 @@ def _parse_blocks(data: bytes) -> Content:
     for line in lines:
         head = line.upper()
         if head.startswith("NBLOCK"):
-            # format (3i9,6e21.13e3): number and width of the integers and of the coordinates
+            # The format (3i9,6e21.13e3) states the number and width of the integer fields, and of
+            # the coordinate fields.
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
             fields, wide = map(int, integers.split("i"))
             item = int(floats.split("e")[1].split(".")[0])
@@ -213,7 +225,10 @@ def _parse_blocks(data: bytes) -> Content:
 
 
 def _parse_table(data: bytes) -> Content:
-    """Parse lines with a node and its coordinates; other lines may occur only before them."""
+    """Parse lines that contain a node number and three coordinates.
+
+    Lines with other content may occur only before these lines.
+    """
     nodes: Nodes = {}
     for line in _decode_lines(data):
         cells = line.split(",")

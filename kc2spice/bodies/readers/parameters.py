@@ -1,6 +1,7 @@
-"""Parameters and factors of matrices, from the TOML file beside the matrices.
+"""Parameters of a matrix model, and factors of its matrices that depend on these parameters.
 
-A factor is an expression of the parameters in the syntax of netlists, such as ``(t/1.0)^3``.
+Both are in the TOML file beside the matrices. A factor is an expression of the parameters in the
+syntax of netlists, such as ``(t/1.0)^3``.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from kc2spice.rom.pencil import Matrix
 
 
 def get_default_values(settings: Sidecar) -> dict[str, float]:
-    """Return the default values of the parameters, keyed by name."""
+    """Return the default values of a model's parameters, keyed by name."""
     return {name: entry.default for name, entry in settings.parameters.items()}
 
 
 def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
-    """Make a parameter from its table in the TOML file.
+    """Make a parameter of a model from its table in the TOML file.
 
     Raises
     ------
-    UsageError : the range is empty, or the default is outside of the range.
+    UsageError : the parameter's range is empty, or its default value is outside of the range.
     """
     entry = settings.parameters[name]
     try:
@@ -37,7 +38,9 @@ def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
 
 
 def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
-    """Make a term from the table ``[[terms]]`` with this ``number``, counted from 0.
+    """Make a term of a matrix sum: a ``matrix`` and its factor, which depends on parameters.
+
+    The factor is in the table ``[[terms]]`` with the ``number``, counted from 0.
 
     Raises
     ------
@@ -66,7 +69,10 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
 
 
 def _evaluate_factor(tree: Tree, values: Mapping[str, float], where: str) -> float:
-    """Return the value of a factor; errors contain the key of the factor."""
+    """Return the value of a factor for given parameter values.
+
+    An error message begins with ``where``, the file and the key of the factor.
+    """
     try:
         return evaluate_parameter(tree, {name.lower(): value for name, value in values.items()})
     except UsageError as error:

@@ -1,20 +1,21 @@
 """Content of matrix files: matrices keyed by letter, and the nodes of their rows.
 
-The functions of this module read ``.npz`` archives, without unpickling, and MATLAB files. They
-reject invalid sizes and indices before they allocate memory.
+The functions of this module read ``.npz`` archives and MATLAB files. Archives are read without
+unpickling. Invalid sizes and indices are rejected before memory is allocated.
 
 An archive contains dense arrays with the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
-the parts of sparse matrices. The name of a part is the letter, a dot, and the name in
+the parts of sparse matrices. The name of a part is the letter, a dot, and the name of the part in
 ``scipy.sparse.save_npz`` (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; in
-the format coo, ``K.row`` and ``K.col``). The integers ``nodes`` (n,) and ``dofs`` (n,) may identify
-the rows. Readers in a separate process return the same arrays. MATLAB files are read in a separate
-process, because the reader of scipy may crash on a corrupt file.
+the format coo, ``K.row`` and ``K.col``). The integer arrays ``nodes`` (n,) and ``dofs`` (n,) may
+contain the node and the degree of freedom of each row. Readers that run in a separate process
+return the same arrays. MATLAB files are read in a separate process, because scipy's reader may
+crash on a corrupt file.
 
-A MATLAB file contains variables with these names, or one struct of COMSOL's ``mphmatrix`` or
-``mphstate``. COMSOL writes ``E u'' + D u' + K u = L``: its ``E`` is the mass, its ``D`` the
-damping, and its ``L`` the input matrix ``B``. If the struct contains the matrices ``Ec``, ``Dc``,
-``Kc``, ``Lc`` after elimination of constraints, they are used. ``mphstate`` returns ``Mc x' = MA x
-+ MB u`` (or ``A``, ``B``) and ``y = C x + D u``.
+A MATLAB file contains variables with these names, or one struct that COMSOL's ``mphmatrix`` or
+``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``: ``E`` is the
+mass, ``D`` the damping, and ``L`` the input matrix ``B``. The matrices ``Ec``, ``Dc``, ``Kc`` and
+``Lc``, from which constraints are eliminated, are preferred. The equations of ``mphstate`` are ``Mc
+x' = MA x + MB u`` (or with ``A`` and ``B``) and ``y = C x + D u``.
 """
 
 from __future__ import annotations
@@ -38,16 +39,18 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
-NARROW_MATRICES = ("B", "C", "D")  # matrices with few rows or columns, stored as dense arrays
+# matrices of inputs and outputs, which have few rows or columns and are stored as dense arrays
+NARROW_MATRICES = ("B", "C", "D")
 MAX_ROWS = 5_000_000  # largest number of rows or columns of a matrix
 MAX_ENTRIES = 200_000_000  # largest number of stored entries of one matrix
 MAX_DENSE = 50_000_000  # largest number of entries of a dense matrix
 MAX_NARROW_ENTRIES = 25_000_000  # largest number of entries of B, C or D as a dense matrix
-MAX_BYTES = 4_000_000_000  # largest size of an unpacked file
-# largest size of an unpacked file [bytes], and as a multiple of its packed size
+MAX_BYTES = 4_000_000_000  # largest size of a packed or unpacked file
+# The size of an unpacked file may be up to the first value [bytes], or up to its packed size times
+# the second value.
 UNPACKED_LIMITS = 100_000_000, 100
 REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
-# regular expressions for messages of Python, numpy and zipfile, and their meaning for a file
+# Messages of Python, numpy and zipfile as regular expressions, and what is wrong with the file.
 _PARSER_MESSAGES = {
     r"could not convert string to (?:float|complex): (.+)": r"\1 is not a number",
     r"invalid literal for int\(\) with base \d+: b?(.+)": r"\1 is not a whole number",
@@ -55,8 +58,8 @@ _PARSER_MESSAGES = {
 }
 _BOM = b"\xef\xbb\xbf"
 
-# Degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs; the other
-# numbers are numbers of Abaqus or kc2spice.
+# Names of degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs. All
+# other numbers are those of Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
@@ -66,7 +69,8 @@ DOF_NUMBERS = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
 VOLT = DOF_NUMBERS["volt"]
-# The key of a row is the node times this number, plus the number of the degree of freedom.
+# The key of a matrix row is the node number times this number, plus the number of the degree of
+# freedom.
 _KIND_COUNT = 64
 _LARGEST_NODE = 2**40
 
@@ -80,14 +84,20 @@ T = TypeVar("T")
 def make_unusable_error(
     path: Path, got: object, expected: str, hint: str = REDO_HINT
 ) -> UsageError:
-    """Make the error for a file that cannot be used."""
+    """Make the error for a file with unsuitable content.
+
+    ``got`` describes the content of the file, and ``expected`` the content that is accepted.
+    """
     return UsageError(
         "this file cannot be used", where=str(path), got=got, expected=expected, hint=hint
     )
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is a file; False for impossible names (NUL, too long)."""
+    """Return whether ``path`` is an existing file.
+
+    The function returns False for invalid paths, such as a path with a NUL character.
+    """
     try:
         return path.is_file()
     except (ValueError, OSError):
@@ -103,11 +113,13 @@ def make_missing_error(path: Path, what: str) -> UsageError:
 
 
 def require_file(path: Path, what: str = "a model in this file") -> Path:
-    """Check that a path is a file of a size that can be read, and return the path.
+    """Return ``path`` if it is an existing file that is not too large.
+
+    ``what`` is the kind of file in the error message.
 
     Raises
     ------
-    UsageError : the file does not exist, or has more than ``MAX_TEXT_BYTES``.
+    UsageError : the file does not exist, or has more than :data:`MAX_BYTES` bytes.
     """
     if not is_file(path):
         raise make_missing_error(path, what)
@@ -125,15 +137,20 @@ def limit_unpacked_bytes(path: Path) -> int:
 
 
 def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
-    """Call ``parse`` with the bytes of a text file, without a UTF-8 byte order mark."""
+    """Return the result of ``parse`` for the bytes in a text file.
+
+    A UTF-8 byte order mark is removed from the bytes. Exceptions of ``parse`` are converted by
+    :func:`call_reader`.
+    """
     data = require_file(path).read_bytes().removeprefix(_BOM)
     return call_reader(path, expected, lambda: parse(data))
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
-    """Call ``read()``, and convert exceptions of parsers to errors about the file.
+    """Return the result of ``read()``, and convert its exceptions to errors about the file.
 
-    ``advice`` is the hint for a damaged file. If an error has no location, the path is added.
+    ``expected`` describes the accepted content of the file, and ``advice`` is the hint for a
+    damaged file. If an error contains no location, the path of the file is added.
     """
     try:
         return read()
@@ -144,14 +161,14 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
         message = "the format of this file is not supported"
         hint = "in MATLAB: save(..., '-v7')"
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        reason = _reword(" ".join(str(error).split()))[:160] or type(error).__name__
+        reason = _explain_parser_message(" ".join(str(error).split()))[:160] or type(error).__name__
         message = f"this file cannot be read: {reason}"
         hint = getattr(error, "advice", advice)
     raise UsageError(message, where=str(path), expected=expected, hint=hint)
 
 
-def _reword(reason: str) -> str:
-    """Replace messages of Python's parsers by statements about the file."""
+def _explain_parser_message(reason: str) -> str:
+    """Convert the message of a Python parser to a statement about the file."""
     for pattern, text in _PARSER_MESSAGES.items():
         reason = re.sub(pattern, text, reason)
     return reason
@@ -159,6 +176,8 @@ def _reword(reason: str) -> str:
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
     """Reject a matrix whose declared size is too large, before memory is allocated.
+
+    ``entries`` is the number of stored entries, or None if it is unknown.
 
     Raises
     ------
@@ -185,19 +204,19 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
 
 
 def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
-    """Return a matrix in double precision, and raise an error if it cannot be used.
+    """Convert a matrix to double precision, and raise an error if it is invalid.
 
-    B, C and D become dense arrays, and all other matrices sparse csc arrays. Only a stiffness may
-    be complex.
+    B, C and D become dense arrays, and all other matrices sparse csc arrays. Only the stiffness
+    matrix K may be complex.
 
     Raises
     ------
-    UsageError : the matrix contains numbers that are not finite, or cannot be used for another
-        reason, which the message contains.
+    UsageError : the matrix contains numbers that are not finite, is too large, is not numeric, or
+        is complex and not K.
     """
-    # the constructor of the coo format checks the indices
+    # indices of the coo format need no check, because the constructor of coo arrays checks them
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
-        call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
+        call_reader(path, f"a valid matrix {letter}", lambda: matrix.check_format(True))
     matrix = drop_zero_imaginary(matrix)
     data = matrix.data if sparse.issparse(matrix) else matrix
     if data.dtype.kind not in ("fiubc" if letter == "K" else "fiub"):
@@ -227,13 +246,14 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """Node (n,) and kind of degree of freedom (n,) of each row of a matrix, as integers.
+    """Node and degree of freedom of each matrix row.
 
-    The kinds are keys of ``DOFS``.
+    ``node`` and ``kind`` are arrays of integers of shape (n,). ``kind`` contains the numbers of
+    degrees of freedom, which are keys of :data:`DOFS`.
 
     Raises
     ------
-    ValueError : a value is not a node or degree of freedom.
+    ValueError : a number is not that of a node or of a degree of freedom.
     """
 
     node: np.ndarray
@@ -253,20 +273,20 @@ class Dofs:
         return len(self.node)
 
     def keys(self) -> np.ndarray:
-        """Return one integer for each row, which identifies node and kind of degree of freedom."""
+        """Return an integer for each matrix row that identifies its node and degree of freedom."""
         return np.asarray(self.node * _KIND_COUNT + self.kind)
 
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """Matrices as a file contains them.
+    """Content of the matrix files of a model, before any conversion.
 
     Parameters
     ----------
     matrices : matrices, keyed by letter
-    dofs : nodes and degrees of freedom of the rows, if the file contains them
-    fixed : rows that the exporting program fixed
-    files : file of each matrix that is in a separate file
+    dofs : node and degree of freedom of each row, or None if the files do not contain them
+    fixed : indices of the rows that the exporting program fixed
+    files : path of the file of each matrix, keyed by letter, if the matrices are in separate files
     """
 
     matrices: Mapping[str, Matrix]
@@ -276,9 +296,10 @@ class Raw:
 
 
 def compute_row_keys(table: np.ndarray) -> Triple:
-    """Compute keys of rows and columns from lines (node, dof, node, dof, value).
+    """Compute the keys of the row and of the column of each matrix entry.
 
-    A dof is the number of a degree of freedom.
+    ``table`` contains a line (node, dof, node, dof, value) for each entry. A dof is the number of a
+    degree of freedom. Return the row keys, the column keys and the values.
     """
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
@@ -288,9 +309,11 @@ def compute_row_keys(table: np.ndarray) -> Triple:
 def make_matrices_by_letter(
     triples: Mapping[str, Triple],
 ) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Make matrices with common rows from results of :func:`compute_row_keys`, keyed by letter.
+    """Make matrices that have the same rows from the keys and values of their entries.
 
-    Rows are sorted by node, then by degree of freedom. Numbers that do not occur have no rows.
+    ``triples`` contains results of :func:`compute_row_keys`, keyed by letter. Return the matrices,
+    keyed by letter, and the node and degree of freedom of each row. Rows are sorted by node, then
+    by degree of freedom. Nodes and degrees of freedom without entries have no rows.
     """
     rows, columns, _ = zip(*triples.values(), strict=True)
     keys = np.unique(np.concatenate([*rows, *columns]))
@@ -303,40 +326,43 @@ def make_matrices_by_letter(
 
 
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Complete a symmetric matrix of which only one entry of each pair is stored.
+    """Complete a symmetric matrix that contains only one entry of each symmetric pair.
 
-    The stored entry may be above or below the diagonal. If both entries of any pair are stored, the
-    matrix is returned unchanged.
+    This entry may be above or below the diagonal. If the matrix contains both entries of any pair,
+    it is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
     return matrix if below.multiply(above.T).nnz else complete_triangle(matrix)
 
 
-_NAME_ARRAYS = ("nodes", "dofs")
-# CPU time [s] for a small file, and bytes per second for a large file
+_ROW_LABELS = ("nodes", "dofs")  # names of the arrays that identify the rows
+# The permitted CPU time of a separate process is the first value [s], plus the size of the file
+# divided by the second value [bytes per second].
 _CPU_LIMITS = 8, 1_000_000
-_MEMORY_BYTES = 1_300_000_000  # memory of the process in addition to the content of the file
-_OTHER_CLASSES = ("cell", "object", "char", "function", "opaque")
-# Fields of COMSOL structs, keyed by letter; the first existing field is used.
+# permitted memory of a separate process, in addition to the content of the file
+_MEMORY_BYTES = 1_300_000_000
+_NON_NUMERIC_CLASSES = ("cell", "object", "char", "function", "opaque")
+# Fields of the structs of `mphstate` and of `mphmatrix`, keyed by letter. The first existing field
+# is used.
 _STATE_FIELDS = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
 _SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
 
 def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
-    """Read the matrices of the archive at ``path``.
+    """Read the matrices in the ``.npz`` archive at ``path``.
 
-    ``requested`` maps letters to names of matrices in the archive, if they differ from the letters.
+    ``requested`` maps letters to the names of matrices in the archive, for matrices whose name is
+    not the letter.
 
     Raises
     ------
-    UsageError, ValueError : the file is missing, damaged or too large; it contains Python objects;
-        or its parts are not the parts of a matrix.
+    UsageError, ValueError : the file is missing, damaged or too large, contains Python objects, or
+        lacks a part of a sparse matrix.
     """
-
     letters = {name: letter for letter, name in requested.items()}
     plain = set(LETTERS) - requested.keys()
-    known = {*plain, *letters, *_NAME_ARRAYS}
+    known = {*plain, *letters, *_ROW_LABELS}
 
     def is_known(name: str) -> bool:
         return name.partition(".")[0] in known
@@ -379,7 +405,10 @@ def _make_unknown_names_error(path: Path) -> UsageError:
 
 
 def _list_member_names(path: Path) -> list[str]:
-    """List the names of the matrices in an archive; a sparse matrix consists of several arrays."""
+    """List the names of the matrices in an archive.
+
+    The arrays of a sparse matrix count as one matrix.
+    """
     with zipfile.ZipFile(path) as archive:
         members = (item.filename.removesuffix(".npy") for item in archive.infolist())
         return list(dict.fromkeys(name.partition(".")[0][:40] for name in members))
@@ -388,9 +417,9 @@ def _list_member_names(path: Path) -> list[str]:
 def call_in_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """Call ``function(path, **options)``, which returns arrays, in a separate process.
+    """Return the arrays that ``function(path, **options)`` returns in a separate process.
 
-    The limits of memory and time of this process depend on the size of the file.
+    The permitted memory and CPU time of this process depend on the size of the file.
 
     Raises
     ------
@@ -413,7 +442,7 @@ def make_unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[st
 
 
 def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
-    """Convert a matrix, or the numbers of rows, to arrays of an archive."""
+    """Convert a matrix or an array of row labels to the named arrays of an archive."""
     if not sparse.issparse(matrix):
         return {name: np.asarray(matrix)}
     csc = matrix.tocsc()
@@ -422,7 +451,7 @@ def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
 
 
 def _unpack_raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
-    """Convert the arrays of an archive to matrices."""
+    """Convert the named arrays of an archive to matrices and row labels."""
     parts: dict[str, dict[str, np.ndarray]] = defaultdict(dict)
     for key, array in arrays.items():
         name, _, part = key.partition(".")
@@ -449,7 +478,7 @@ def _unpack_sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> spa
 
 
 def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
-    present_arrays = [np.asarray(arrays[name]).ravel() for name in _NAME_ARRAYS if name in arrays]
+    present_arrays = [np.asarray(arrays[name]).ravel() for name in _ROW_LABELS if name in arrays]
     if not present_arrays:
         return None
     if len(present_arrays) == 1 or any(array.dtype.kind not in "iu" for array in present_arrays):
@@ -461,15 +490,15 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 
 
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Return the matrices of a MATLAB file as arrays of an archive.
+    """Return the matrices in a MATLAB file as the named arrays of an archive.
 
-    ``requested`` is ignored.
+    The argument ``requested`` has no effect.
 
     Raises
     ------
     ValueError, NotImplementedError : the file is damaged, or does not contain matrices.
     """
-    names = (*LETTERS, *_NAME_ARRAYS)
+    names = (*LETTERS, *_ROW_LABELS)
     kinds = _list_variables(path)
     plain = list(filter(kinds.__contains__, names))
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
@@ -479,7 +508,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
         )
     else:
         for name in plain:
-            if kinds[name][1] in (*_OTHER_CLASSES, "struct"):
+            if kinds[name][1] in (*_NON_NUMERIC_CLASSES, "struct"):
                 raise ValueError(f"variable {name} is a {kinds[name][1]}")
         full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
         result = _load_variables(path, plain, full)
@@ -491,9 +520,10 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
 
 
 def read_vectors(path: str) -> dict[str, np.ndarray]:
-    """Read the dense numeric arrays of a MATLAB file with a measured response.
+    """Read the dense numeric arrays in a MATLAB file with a measured response.
 
-    The result is empty if the file contains the matrices of a model.
+    Return the arrays, keyed by name. No arrays are returned if the file contains the matrices of a
+    model.
 
     Raises
     ------
@@ -509,12 +539,19 @@ def read_vectors(path: str) -> dict[str, np.ndarray]:
 
 
 def _list_variables(path: str) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return the shape and class of each variable of a MATLAB file, keyed by name."""
+    """Return the shape and class of each variable in a MATLAB file, keyed by name."""
     return {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
 
 
 def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
-    """Load the variables with these names; ``full`` are the shapes of dense arrays among them."""
+    """Load the variables ``names`` from a MATLAB file.
+
+    ``full`` contains the shapes of the dense arrays among these variables.
+
+    Raises
+    ------
+    ValueError : the dense arrays are too large.
+    """
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > limit_unpacked_bytes(Path(path)):
         raise ValueError(f"its variables need {size:g} bytes, which exceeds the limit")
@@ -525,7 +562,7 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return matrix.tocsc()
     matrix = drop_zero_imaginary(np.asarray(matrix))
-    if name in _NAME_ARRAYS:  # all numbers in MATLAB are doubles
+    if name in _ROW_LABELS:  # all numbers in MATLAB are doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} contains fractions")
         return matrix.astype(np.int64)
@@ -539,7 +576,7 @@ def drop_zero_imaginary(matrix: Any) -> Any:
 
 
 def _select_fields(value: Any, name: str) -> dict[str, Any]:
-    """Return the fields of a struct of COMSOL, keyed by the letters of this package."""
+    """Return the matrices in a struct of COMSOL, keyed by the matrix letters of this package."""
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}

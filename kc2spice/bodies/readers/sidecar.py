@@ -2,58 +2,61 @@
 
 ::
 
-    band = [0, 2e4]               # Hz: band of the certificate; --band replaces it
-    length = "mm"                 # unit of the tool's displacements (m, mm, um, in); default m
-    force = "N"                   # and of its forces (N, lbf)
-    symmetric = true              # 'general' matrices of which one triangle is stored are halves
-                                  # (false: they really are triangular)
-    files = { K = "a.mtx", M = "b.mtx" }      # names that do not follow NAME.K, NAME_K.mtx
-    matrices = { K = "KAAX", M = "MAAX" }     # names inside an OP4 or punch file
-    damping_matrix = "C"          # a square C beside M and K is the damping; or outputs = "C", if
-                                  # its rows are outputs, one for each unknown
-    mesh = "job.inp"              # coordinates and node sets: .inp, .bdf, .cdb or node,x,y,z .csv
-    dofs = "rows.csv"             # node,dof of each row, where the matrices do not name them
-    damping = { alpha = 0, beta = 1e-9 }      # E = alpha M + beta K on top of the file's own
-    damping = { ratio = 0.01, at = 250e3 }    # or beta from a ratio at a frequency [Hz]
-    damping = { loss_factor = 0.02 }          # structural damping K (1 + j eta)
+    band = [0, 2e4]               # frequency band [Hz] of the error estimate; --band overrides it
+    length = "mm"                 # unit of displacements in the matrices (m, cm, mm, um, in, ft)
+    force = "N"                   # unit of forces in the matrices (N, mN, uN, kN, lbf)
+    symmetric = true              # a 'general' matrix with only one triangle is symmetric
+                                  # (false: the matrix is triangular)
+    files = { K = "a.mtx", M = "b.mtx" }      # files with names other than NAME.K, NAME_K.mtx
+    matrices = { K = "KAAX", M = "MAAX" }     # names of the matrices in an OP4 or punch file
+    damping_matrix = "C"          # a square C beside M and K is the damping matrix; or
+                                  # outputs = "C": each row of C is the output of one unknown
+    mesh = "job.inp"              # file of node coordinates and node sets: .inp, .bdf, .cdb, or
+                                  # .csv with node,x,y,z
+    dofs = "rows.csv"             # node,dof of each matrix row, if the matrix files lack them
+    damping = { alpha = 0, beta = 1e-9 }      # E = alpha M + beta K, added to E in the files
+    damping = { ratio = 0.01, at = 250e3 }    # or beta from a damping ratio at a frequency [Hz]
+    damping = { loss_factor = 0.02 }          # structural damping K (1 + j loss_factor)
 
-    [parameters]                  # of the subcircuit; names as in the factors below
+    [parameters]                  # parameters of the subcircuit, for the factors of [[terms]]
     thickness = { default = 1.0, low = 0.8, high = 1.25, unit = "mm" }
 
-    [[terms]]                     # K(p) = K + sum f_i(p) K_i, and M likewise; E of heat models
-    matrix = "K"                  # or "M"
-    file = "plate.K3.mtx"         # and its file; otherwise the file of the model
-    name = "K3"                   # its name inside a .npz, OP4 or punch file
-    factor = "(thickness / 1.0)^3"
+    [[terms]]                     # the model's matrix is K(p) = K + sum f_i(p) K_i
+    matrix = "K"                  # or "M", or "E" in heat models
+    file = "plate.K3.mtx"         # file of K_i; by default the file of the model
+    name = "K3"                   # name of K_i inside a .npz, OP4 or punch file
+    factor = "(thickness / 1.0)^3"            # f_i(p)
 
-    [[fixed]]                     # freedoms held at zero
+    [[fixed]]                     # degrees of freedom that are fixed at zero
     nodeset = "ROOT"              # or node = 7, nodes = [7, 8], at = [x, y, z]
-    dof = ["ux", "uy", "uz"]      # one or several; all of the node unless given
+    dof = ["ux", "uy", "uz"]      # by default all degrees of freedom of the nodes
 
     [[ports]]
     name = "tip"
     kind = "mechanical"           # or electrical, rotational, acceleration, thermal, acoustic,
                                   # input, output
     node = 12                     # or nodes = [...], nodeset = "TIP", at = [x, y, z] (unit length)
-    within = 0.1                  # how far from 'at' the node may be (unit length)
+    within = 0.1                  # largest distance of the node from 'at' (unit length)
     dof = "uz"                    # ux uy uz rx ry rz volt temp, or 1 to 6
-    axis = "z"                    # or a direction [0, 0.6, 0.8] instead of 'dof'
-    unit = "um"                   # 1 V on the pin of a signal port ...
-    scale = 1e-6                  # ... in the model's unit (inputs and outputs only)
+    axis = "z"                    # instead of 'dof': an axis, or a direction [0, 0.6, 0.8]
+    unit = "um"                   # name of the unit that 1 V on the pin of a signal port means
+    scale = 1e-6                  # this unit in units of the model (inputs and outputs only)
     pins = ["anode", "cathode"]   # names of the netlist pins
 
     [[ports]]
     name = "force"
     kind = "input"
-    column = 1                    # a column of B, counted from 1; 'row' is a row of C
+    column = 1                    # number of a column of B, counted from 1
+                                  # (outputs: row = 1 is the first row of C)
 
-A mechanical port at several nodes is their mean displacement; its force is spread evenly over
-them. A port of kind ``acceleration`` moves the frame of the fixed degrees of freedom: it needs
-only ``axis``. A port of kind ``acoustic`` has a ``column``: the force on each unknown for 1 Pa at
-the port, whose product with the unknowns is the volume that the body displaces. An
-``electrical`` port at nodes ties their ``volt`` freedoms to one electrode. Ports with ``column``
-of a conservative kind take the same row of C; without ``[[ports]]`` the columns of B and rows of C
-are signals ``u1`` ..., ``y1`` ....
+The displacement of a mechanical port at several nodes is the mean displacement of these nodes. Its
+force is distributed evenly over the nodes. A port of kind ``acceleration`` moves the frame of the
+fixed degrees of freedom and needs only the key ``axis``. A port of kind ``acoustic`` needs the key
+``column``. The column of B contains the force on each unknown for 1 Pa at the port. The product of
+this column and the unknowns is the volume that the body displaces. An ``electrical`` port at nodes
+connects their degrees of freedom ``volt`` to one electrode. If a conservative port has the key
+``column``, its row of C has the same number. Without ``[[ports]]``, the columns of B are the input
+signals ``u1``, ``u2``, …, and the rows of C are the output signals ``y1``, ``y2``, ….
 """
 
 from __future__ import annotations
@@ -100,16 +103,16 @@ from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
-# degrees of freedom without a direction, keyed by kind of port
+# name of the degree of freedom of ports without a direction, keyed by kind of port
 SCALAR_DOFS = {ELECTRICAL.port: "volt", THERMAL.port: "temp"}
-DIRECTED_KINDS = (TRANSLATION.port, ROTATION.port)  # kinds that act on nodes along an axis
-# kinds that are defined by a column of B
+DIRECTED_KINDS = (TRANSLATION.port, ROTATION.port)  # kinds of ports that act along an axis
+# kinds of ports that can only be defined by a column of B or a row of C
 COLUMN_KINDS_ONLY = tuple(PORTS.keys() - {*SCALAR_DOFS, *DIRECTED_KINDS, ACCELERATION.port})
 _AXIS_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def _require_printable(value: str) -> str:
-    """Require printable characters in a name, because netlists contain the name."""
+    """Reject a name with unprintable characters, because netlists contain the name."""
     if not value.isprintable():
         raise invalid_value_error(
             "this text is not a valid name",
@@ -120,7 +123,7 @@ def _require_printable(value: str) -> str:
 
 
 def _require_word(value: str) -> str:
-    """Require that a unit is a single word, because the header of a netlist contains the unit."""
+    """Reject a unit of several words, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
         hint = f"write it without blanks: {value.replace(' ', '*')}"
         raise invalid_value_error("this text is not a unit", "one word", hint=hint)
@@ -128,7 +131,10 @@ def _require_word(value: str) -> str:
 
 
 def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
-    """Resolve a path inside the folder of the sidecar, so that no other file is read."""
+    """Resolve a relative path in the folder of the TOML file.
+
+    Files outside of this folder are rejected.
+    """
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
@@ -140,7 +146,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
 
 
 def _parse_dof(value: object) -> int:
-    """Return the number of a degree of freedom from its name."""
+    """Return the number of a degree of freedom, whose name or number is given."""
     code = DOF_NUMBERS.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
         expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
@@ -150,7 +156,7 @@ def _parse_dof(value: object) -> int:
 
 
 def _parse_axis(value: object) -> object:
-    """Return the vector of the axis x, y or z."""
+    """Return the unit vector of the axis ``"x"``, ``"y"`` or ``"z"``; keep any other value."""
     return _AXIS_VECTORS.get(value, value) if isinstance(value, str) else value
 
 
@@ -211,12 +217,12 @@ class NodeSelection(Section):
 
     @property
     def selects_nodes(self) -> bool:
-        """Whether the entry selects nodes."""
+        """Whether the table in the TOML file selects any nodes."""
         return any(item is not None for item in (self.numbers or None, self.nodeset, self.at))
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Numbers of the nodes that are selected by number."""
+        """Numbers of the nodes in the keys ``node`` and ``nodes``."""
         return (self.node,) if self.node is not None else self.nodes or ()
 
 
@@ -236,7 +242,10 @@ class Fixed(NodeSelection):
 
 
 class PortEntry(NodeSelection):
-    """Table ``[[ports]]``: nodes and direction of a port, or numbers of its column and row."""
+    """Table ``[[ports]]``: a port, defined by nodes and a direction, or by a column or row number.
+
+    The numbers ``column`` of B and ``row`` of C are counted from 1.
+    """
 
     name: Name = Field(examples=['"tip"'])
     kind: Literal[PORT_KINDS]  # type: ignore[valid-type]
@@ -316,7 +325,7 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Degrees of freedom on which the port acts, and their shares."""
+        """Share of the port's force on each degree of freedom, keyed by its number."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -326,12 +335,15 @@ class PortEntry(NodeSelection):
 
     @property
     def port(self) -> Port:
-        """Port of the model, with its name, kind, unit and pins."""
+        """Port of the linear model, with the name, kind, unit and pins of the table."""
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 
 def _advise_damping(keys: set[str]) -> str:
-    """Advise how to make the stated keys of a damping complete."""
+    """Return a hint that makes an incomplete or contradictory table ``damping`` valid.
+
+    ``keys`` are the keys in the table.
+    """
     others = sorted(keys & {"alpha", "beta"})
     if others:
         return f"delete {' and '.join(others)}"
@@ -339,9 +351,10 @@ def _advise_damping(keys: set[str]) -> str:
 
 
 class MatrixDamping(Section):
-    """Damping ``E = alpha M + beta K``; a damping ratio at a frequency [Hz] may give beta.
+    """Rayleigh damping ``E = alpha M + beta K`` or structural damping of a matrix model.
 
-    ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
+    Instead of alpha and beta, a damping ``ratio`` may be given, which applies ``at`` a frequency
+    [Hz]. ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
     """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
@@ -371,7 +384,7 @@ class MatrixDamping(Section):
 
 
 class ParameterEntry(Section):
-    """Parameter of the subcircuit with its default, its range and its unit."""
+    """Parameter of the subcircuit with its default value, its range and its unit."""
 
     default: Finite = Field(examples=["1.0"])
     low: Finite = Field(examples=["0.5"])
@@ -381,9 +394,10 @@ class ParameterEntry(Section):
 
 
 class TermEntry(Section):
-    """Table ``[[terms]]``: a matrix, its location, and the factor of the matrix.
+    """Table ``[[terms]]``: a matrix that is added to the model, and its factor.
 
-    Without ``file`` and ``name``, the factor multiplies the matrix of the model.
+    ``file`` and ``name`` are the location of the matrix. If both are missing, the factor multiplies
+    the matrix of the model.
     """
 
     matrix: Literal["M", "K", "E"]
@@ -393,7 +407,7 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of ``NAME.toml``; the defaults apply to a model without this file."""
+    """Content of ``NAME.toml``. A model without this file has the default values."""
 
     help_command: ClassVar[str] = "docs/reference/matrices.md"
 
@@ -416,11 +430,14 @@ class Sidecar(Section):
 
     @property
     def where(self) -> str:
-        """Name of the TOML file, for errors that occur after it was read."""
+        """Path of the TOML file, for errors that occur after the file was read."""
         return self._where
 
     def of(self, entry: NodeSelection) -> str:
-        """Return the name of the file and of the table ``entry``, for error messages."""
+        """Return the path of the TOML file and the name of the table ``entry``.
+
+        Error messages begin with this string.
+        """
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):
                 if item is entry:
@@ -457,12 +474,12 @@ class Sidecar(Section):
 
 
 def read_sidecar(path: Path) -> Sidecar:
-    """Read the sidecar at ``path``.
+    """Read the TOML file at ``path``, which describes a matrix model.
 
     Raises
     ------
-    UsageError : the file is missing, too long or not in the TOML format; a key is unknown; a value
-        has the wrong type; or a name occurs twice. The message contains file and key.
+    UsageError : the file is missing, too long or not in the TOML format, a key is unknown, a value
+        has the wrong type, or a name occurs twice. The message contains the file and the key.
     """
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected)

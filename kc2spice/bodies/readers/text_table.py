@@ -1,9 +1,10 @@
-"""Tables in a text: rows of numbers with titles above the rows, and merged blocks.
+"""Parser of tables in text files: rows of numbers with titles above the rows.
 
-The input is the text of a file, and the output is a list of :class:`TextTable`, the longest table
-first. Semicolons, tabs, commas or blanks separate fields. Commas that do not separate fields are
-decimal commas, or separate thousands in numbers with decimal points. The module
-:mod:`kc2spice.bodies.readers.complex_response` interprets the tables.
+The input is the text of a file, and the output is a list of :class:`TextTable`. The longest table
+is the first in the list. Semicolons, tabs, commas or blanks separate fields. Commas that do not
+separate fields are decimal commas; in files with decimal points, they separate thousands. Blocks of
+the same table are merged. The module :mod:`kc2spice.bodies.readers.complex_response` interprets the
+tables.
 """
 
 from __future__ import annotations
@@ -37,22 +38,23 @@ _COMPLEX_PATTERN = re.compile(rf"\(?([-+]?{_REAL_PATTERN})?[-+]?{_REAL_PATTERN}[
 _GROUPED_PATTERN = re.compile(
     r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
 )
-SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate the fields
-_LINE_WITH_COMMA = re.compile(".*,.*")  # a comma in a line of text is not a separator
-MIN_COLUMNS = 2
-MIN_ROWS = 2
-MAX_LINES = 100_000  # largest number of lines: five times the accepted number of frequencies
+SEPARATORS = (";", "\t", ",")  # characters that separate fields, if blanks do not separate them
+_LINE_WITH_COMMA = re.compile(".*,.*")  # field that contains a comma, one field per line
+MIN_COLUMNS = 2  # smallest number of columns of a table
+MIN_ROWS = 2  # smallest number of rows of a table
+# largest number of lines of a file: five times the largest number of frequencies
+MAX_LINES = 100_000
 MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-MAX_OMITTED_SHARE = 0.05  # largest share of rows with a word instead of a number
+MAX_OMITTED_SHARE = 0.05  # largest share of rows that are omitted because they contain a word
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 
 
 class ShortTableError(ValueError):
-    """Text without a table; ``advice`` is the next action."""
+    """Error for text without a table; ``advice`` is the hint of the error message."""
 
     advice = (
         "export one line of numbers for each point, below titles such as  "
@@ -62,12 +64,13 @@ class ShortTableError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class TextTable(EqualByContent):
-    """Columns of ``numbers`` (n,) under ``titles``.
+    """Table in a text file: columns of numbers with titles.
 
-    The titles are None if no line contains as many words as the rows have numbers. ``lines`` are
-    the first and the last line of the numbers, counted from 1. ``header`` is the last line above
-    the numbers, and ``comments`` are all lines above the numbers. ``notes`` are assumptions that
-    the reader made.
+    ``titles`` is None if no line above the numbers contains as many titles as there are columns.
+    ``numbers`` contains an array of shape (n,) for each column. ``lines`` contains the first and
+    the last line number of the numbers, counted from 1. ``header`` is the last line above the
+    numbers, and ``comments`` are all lines above the numbers. ``notes`` are assumptions of the
+    parser.
     """
 
     titles: tuple[str, ...] | None
@@ -79,24 +82,24 @@ class TextTable(EqualByContent):
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
+        """Number of rows of the table."""
         return len(self.numbers[0])
 
     @property
     def place(self) -> str:
-        """Text with the line numbers of the table, for messages."""
+        """First and last line number of the table as a string, for messages."""
         return f"lines {self.lines[0]} to {self.lines[1]}"
 
 
 def read_tables(text: str) -> list[TextTable]:
-    """Read the tables of a text, the longest table first.
+    """Read all tables in the text of a file, and sort them from the longest to the shortest.
 
     Blocks with the same frequencies are merged to one table.
 
     Raises
     ------
-    ValueError : there is no table; there are too many lines or columns; a comma may separate
-        thousands or decimals; or too many rows contain words.
+    ValueError : the text contains no table, has too many lines, contains a comma that may separate
+        thousands or decimals, or has too many rows with words.
     """
     count = max(text.count("\n"), text.count("\r"))
     if count > MAX_LINES:
@@ -114,7 +117,7 @@ def read_tables(text: str) -> list[TextTable]:
             raise ValueError("the file is empty")
         below = f", below the first line {first[:40]!r}"
         fewest = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
-        raise ShortTableError(f"{fewest}{below}{_describe_word(lines)}")
+        raise ShortTableError(f"{fewest}{below}{_describe_non_number(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
         table = _build_table(lines, run, end, separator)
@@ -132,9 +135,10 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Range of lines with the same number of fields, most of which contain only numbers.
+    """Range of lines that have the same number of fields and form a table.
 
-    ``rows`` is the number of lines that contain only numbers.
+    ``first`` is the index of the first line, and ``last`` the index after the last line. ``rows``
+    is the number of lines that contain only numbers, and ``width`` is the number of fields.
     """
 
     first: int
@@ -144,7 +148,10 @@ class _Run:
 
 
 def _split_fields(line: str, separator: str | None) -> list[str]:
-    """Split a line into words without quotes, and remove empty words at its end."""
+    """Split a line into fields without quotation marks, and remove empty fields at its end.
+
+    If ``separator`` is None, blanks separate the fields.
+    """
     if separator is None:
         return line.split()
     fields = list(map(str.strip, next(csv.reader([line.strip()], delimiter=separator), [])))
@@ -154,7 +161,10 @@ def _split_fields(line: str, separator: str | None) -> list[str]:
 
 
 def _is_number(word: str) -> bool:
-    """Return whether a word is a number, also with a decimal comma, or a complex number."""
+    """Return whether a word is a real or complex number.
+
+    The number may have a decimal comma, or separators of thousands.
+    """
     plain = word.replace(",", ".", 1).replace("\u2212", "-")
     return bool(
         _NUMBER_PATTERN.fullmatch(plain)
@@ -164,9 +174,10 @@ def _is_number(word: str) -> bool:
 
 
 def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
-    """Count the fields of a line, and check whether all of them are numbers.
+    """Count the fields of a line, and check whether all its fields are numbers.
 
-    The count is 0 if the line does not begin with a number, and -1 if the line is blank.
+    Return the number of fields, and whether all fields are numbers. The first value is 0 if the
+    line is not a row of a table, and -1 if the line is blank.
     """
     if not line.strip():
         return -1, False
@@ -182,7 +193,10 @@ def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
 
 
 def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Find all ranges of rows with the same number of fields; a few rows may contain words."""
+    """Yield all ranges of lines that have the same number of fields and begin with a number.
+
+    A few rows in a range may contain words.
+    """
     kinds = [_measure_line(line, separator) for line in lines]
     # blank lines do not end a table
     filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]
@@ -193,8 +207,11 @@ def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
             yield _Run(run[0], run[-1] + 1, numeric_rows, width)
 
 
-def _describe_word(lines: list[str]) -> str:
-    """Quote the first line that begins with a number and contains a word, if there is one."""
+def _describe_non_number(lines: list[str]) -> str:
+    """Describe the first line that begins with a number and contains a word.
+
+    Return an empty string if there is no such line. The description is a part of an error message.
+    """
     for k, line in enumerate(lines):
         for separator in (*SEPARATORS, None):
             width, numeric = _measure_line(line, separator)
@@ -205,7 +222,10 @@ def _describe_word(lines: list[str]) -> str:
 
 
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
-    """Make the table of a range of rows, whose titles are after line ``end``."""
+    """Make the table of a range of rows.
+
+    Its titles are searched in the lines after the index ``end``, where the previous table ends.
+    """
     short = (
         line[:MAX_LINE_LENGTH] for line in lines[max(end, run.first - COMMENT_LINES) : run.first]
     )
@@ -260,11 +280,12 @@ def _describe_omitted_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find the titles of ``columns`` in the lines above a table.
+    """Find the titles of a table in the lines above it.
 
-    They are in the nearest line with the title of a frequency or a time, otherwise in the last
-    line. A line of units may follow the titles. If ``index`` is true, the first column may have no
-    title.
+    ``columns`` is the number of columns. The titles are in the nearest line that contains the title
+    of a frequency or a time, otherwise in the last line. A line of units may follow the titles. If
+    ``index`` is true, the first column contains row numbers and may have no title. Return None if
+    there are no titles.
     """
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
@@ -289,12 +310,16 @@ def _is_unit(word: str) -> bool:
 
 
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
-    """Split a line into titles of all ``columns``; None if no separator gives enough titles."""
+    """Split a line into one title for each column.
+
+    ``columns`` is the number of columns. Return None if no separator yields this number of titles.
+    If ``index`` is true, the title of the first column may be missing.
+    """
     splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also separate the words of a single title
         splits += map(partial(_split_fields, line), SEPARATORS)
         splits.append(re.findall(r"[^\s()\[\]][^()\[\]]*[(\[][^()\[\]]*[)\]]", line))
-    # titles may be in columns of fixed width, whatever separates the numbers
+    # several blanks may separate titles, even if another character separates the numbers
     spaced = re.split(r"\s{2,}", line.strip().strip('"').strip())
     if any(map(is_frequency, spaced)):
         splits.append(spaced)
@@ -306,17 +331,17 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity in the last line ``FORMAT: |Z|`` above a table.
+    """Find the quantity of a trace in the last line such as ``FORMAT: |Z|`` above a table.
 
-    The result is empty without such a line.
+    Return an empty string if there is no such line.
     """
     return _find_last_match(TRACE_FORMAT, above)
 
 
 def _find_trace_quantity(above: list[str]) -> str:
-    """Find the quantity of the last trace by the line ``MEASURE PARAMETER`` above all traces.
+    """Find the quantity of the last trace in the line ``MEASURE PARAMETER`` above all traces.
 
-    The result is empty without such a line.
+    Return an empty string if there is no such line.
     """
     match = TWO_PARTS.fullmatch(_find_last_match(TRACE_PARAMETERS, above))
     trace = _find_last_match(TRACE_NAME, above).upper()
@@ -327,7 +352,10 @@ def _find_trace_quantity(above: list[str]) -> str:
 
 
 def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
-    """Return the first group of a pattern in the last matching line; empty if no line matches."""
+    """Return the first group of a pattern in the last line that matches it.
+
+    Return an empty string if no line matches the pattern.
+    """
     for line in reversed(lines):
         if match := pattern.fullmatch(line[:MAX_HEADER_LENGTH].strip().strip('"')):
             return match[1]
@@ -337,14 +365,15 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Return titles for the numbers of a trace according to the ``FORMAT`` in the file.
+    """Replace the titles of trace columns according to the ``FORMAT`` line in the file.
 
-    The result also contains a note. If a trace is a real quantity, its second number must be zero.
-    If the first trace is |Z| or |Y|, the second trace may be the phase.
+    ``stated`` is the quantity in this line. If the quantity is real, the second column of the trace
+    must be zero. If the quantity is |Z| or |Y|, the second column may be the phase. Return the
+    titles, the numbers, and notes on assumptions.
 
     Raises
     ------
-    ValueError : a value is neither zero nor a phase.
+    ValueError : the second column is neither zero nor a phase.
     """
     places = [k for k, title in enumerate(titles) if TRACE_COLUMN.fullmatch(title.strip())]
     if not places:
@@ -378,7 +407,7 @@ def _apply_format(
 
 
 def _append_block(before: TextTable, table: TextTable) -> TextTable:
-    """Append the rows of a block without titles to the table before it."""
+    """Append the rows of a table without titles to the table ``before`` it."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
     note = f"{table.place} have no titles: taken as further rows of the table above"
@@ -414,7 +443,7 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
 
 
 def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
-    """Return whether two tables have the same frequencies under the same title."""
+    """Return whether two tables have equal frequencies in columns with the same title."""
     if first.titles is None or table.titles is None or first.rows != table.rows:
         return False
     a, b = _find_frequency_column(first), _find_frequency_column(table)
@@ -424,7 +453,7 @@ def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
 
 
 def _find_frequency_column(table: TextTable) -> int | None:
-    """Return the index of the first column with frequencies; None if there is no such column."""
+    """Return the index of the first frequency column in a table, or None if there is none."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 
@@ -432,13 +461,15 @@ def _find_frequency_column(table: TextTable) -> int | None:
 
 
 def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np.ndarray:
-    """Parse the numbers of one column of a table with these ``rows``.
+    """Parse the numbers in one column of a table.
 
-    Commas are decimal commas, or separate thousands if the file contains decimal points.
+    ``words`` are the fields of the column, and ``rows`` the fields of the whole table. Commas are
+    decimal commas; if the table contains decimal points, commas separate thousands.
 
     Raises
     ------
-    ValueError : the meaning of a comma is not certain.
+    ValueError : a comma may separate thousands or decimals, or the table contains decimal commas
+        and decimal points.
     """
     text = "\n".join(words).replace("\u2212", "-")
     text = re.sub("(?<=\\d)[' \u00a0\u202f](?=\\d)", "", text)

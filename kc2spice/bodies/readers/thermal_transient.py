@@ -1,9 +1,9 @@
-"""Thermal transients from tables: temperature or thermal impedance over time.
+"""Reader of tables with thermal transients: temperature or thermal impedance versus time.
 
 A table has a column of times and a column of one of the :data:`TRANSIENT_QUANTITIES` in
-:mod:`kc2spice.bodies.readers.meanings`. The power is switched on or off at the time zero. The input
-is the path of a table, and the output is a :class:`ThermalTransient`, to which
-:mod:`kc2spice.rom.transient_fit` fits a network.
+:mod:`kc2spice.bodies.readers.meanings`. The heating power is switched on or off at the time zero.
+The input is the path of a table, and the output is a :class:`ThermalTransient`. The module
+:mod:`kc2spice.rom.transient_fit` fits a network to the transient.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-# Smallest number of times after the step, for two time constants with their resistances and for an
-# estimate of the noise.
+# Smallest number of times after the power step. It suffices for two time constants with their
+# resistances and an estimate of the noise.
 MIN_TIMES = 8
 NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
 EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"
@@ -36,10 +36,11 @@ EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Z
 
 @dataclass(frozen=True, eq=False)
 class ThermalTransient(EqualByContent):
-    """Temperatures [K] or thermal impedances [K/W] (n,) at increasing times (n,) [s].
+    """Measured thermal step response.
 
-    ``quantity`` is ``"temperature"`` or ``"zth"``. ``notes`` are assumptions that the reader made,
-    and ``columns`` the columns that it used.
+    ``quantity`` is ``"temperature"`` or ``"zth"``. ``value`` contains the temperatures [K] or the
+    thermal impedances [K/W] at the increasing times ``time`` [s]; both arrays have the shape (n,).
+    ``notes`` are assumptions of the reader, and ``columns`` describes the columns that it used.
     """
 
     name: str
@@ -52,32 +53,34 @@ class ThermalTransient(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Text with the columns, the number of points and the range of times."""
+        """Columns, number of points and time range of the table, as a string for messages."""
         span = f"{len(self.time)} points from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
         return f"{self.columns}; {span}"
 
 
 def is_transient(path: Path) -> bool:
-    """Return whether a file is a table with a column of times and none of frequencies."""
+    """Return whether a file is a table with a time column and without a frequency column."""
     if not is_table(path) or not is_file(path):
         return False
     try:
-        return call_reader(path, EXPECTED_TABLE, lambda: any(map(_has_time, load_tables(path))))
+        return call_reader(
+            path, EXPECTED_TABLE, lambda: any(map(_has_time_column, load_tables(path)))
+        )
     except UsageError:  # the reader of responses reports this error
         return False
 
 
 def read_transient(path: Path) -> ThermalTransient:
-    """Read the transient of a table.
+    """Read the thermal transient in a table.
 
     Raises
     ------
-    UsageError : the table has no temperature, two different temperatures, too few times, or numbers
-        that are not finite.
+    UsageError : the table has no column of a temperature or thermal impedance, two different such
+        columns, too few times, or numbers that are not finite.
     """
 
     def read_response() -> ThermalTransient:
-        table = next(filter(_has_time, load_tables(path)))
+        table = next(filter(_has_time_column, load_tables(path)))
         return _find_transient(table, path)
 
     result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
@@ -85,15 +88,15 @@ def read_transient(path: Path) -> ThermalTransient:
         raise make_unusable_error(path, "NaN or infinity", "finite numbers", NAME_TIME_HINT)
     count = len(np.unique(result.time[result.time > 0]))
     if count < MIN_TIMES:
-        hint = "the time counts from the step of the power; measure more points after it"
+        hint = "measure more points after the power step, which must be at the time zero"
         raise make_unusable_error(
-            path, f"{count} times after zero", f"at least {MIN_TIMES} of them", hint
+            path, f"{count} times after zero", f"at least {MIN_TIMES} times after zero", hint
         )
     return result
 
 
-def _has_time(table: TextTable) -> bool:
-    """Return whether a table has a column of times."""
+def _has_time_column(table: TextTable) -> bool:
+    """Return whether a table has a time column and no frequency column."""
     if table.titles is None:
         return False
     quantities = classify_columns(table.titles, table.numbers).by_quantity
@@ -101,7 +104,10 @@ def _has_time(table: TextTable) -> bool:
 
 
 def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
-    """Find the columns of the time and of the temperature or thermal impedance in a table."""
+    """Find the thermal transient in a table.
+
+    The table contains a time column and a column of a temperature or thermal impedance.
+    """
     titles = table.titles or ()
     by_quantity = classify_columns(titles, table.numbers).by_quantity
     times = by_quantity["time"]

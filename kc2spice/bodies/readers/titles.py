@@ -1,8 +1,8 @@
-"""Meaning of the titles of columns: quantity, sign and unit; and conversion of columns to SI.
+"""Meaning of column titles (quantity, sign and unit), and conversion of columns to SI units.
 
-A title of an instrument, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is divided
-into a sign, words and a unit. :mod:`kc2spice.bodies.readers.meanings` lists the words and units.
-Columns without a known meaning are not used.
+A title that an instrument writes, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is
+divided into a sign, words and a unit. :mod:`kc2spice.bodies.readers.meanings` lists the known words
+and units. Columns whose title has no known meaning are not used.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ from kc2spice.bodies.readers.meanings import (
 )
 from kc2spice.core.equality import EqualByContent
 
-_GREEK_OHM = str.maketrans(
+# unusual characters in titles, and the characters that replace them
+_CHARACTER_REPLACEMENTS = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "º": "°", "−": "-", "–": "-", "′": "'", "″": "''"}
 )
-# letters in UTF-8 text that a program has encoded twice, and the original letters
+# sequences that arise if a program encodes a letter twice in UTF-8, and the original letters
 _DOUBLE_ENCODED = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}
-COMMENT_MARKS = "#%!*; "  # characters before a title
+COMMENT_MARKS = "#%!*; "  # characters that mark a comment line, and are omitted before a title
 MAX_TITLE_LENGTH = 200  # largest number of characters of a title
-# pattern of a title that ends with a unit: f/Hz, zth_k_per_w
+# pattern of a title that ends with a unit without brackets: f/Hz, zth_k_per_w
 _TRAILING_UNIT = re.compile(
     r"(.*?\S)\s*(?:/|[\s_,]+)\s*(rad/s|\S{1,2}/W|K_(?:per_)?W|[^\s_/,()\[\]]+)", re.IGNORECASE
 )
@@ -48,7 +49,11 @@ _TRAILING_UNIT = re.compile(
 
 @dataclass(frozen=True)
 class Unit:
-    """Unit: its spelling ``text``, the quantity that it ``measures``, and its SI ``value``."""
+    """Unit of a column.
+
+    ``text`` is the spelling of the unit in the file, ``measures`` is the measured quantity, and
+    ``value`` is the unit in SI units.
+    """
 
     text: str
     measures: str
@@ -57,7 +62,11 @@ class Unit:
 
 @dataclass(frozen=True)
 class Title:
-    """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
+    """Title of a column and its meaning.
+
+    ``text`` is the title in the file. ``sign`` is -1 if a minus sign precedes the title, otherwise
+    1. ``unit`` is None if the title contains no unit.
+    """
 
     text: str
     meaning: ColumnKind
@@ -67,7 +76,11 @@ class Title:
 
 @dataclass(frozen=True, eq=False)
 class Column(EqualByContent):
-    """Column with ``values`` (n,) of a quantity in SI units; angles are in rad."""
+    """Column of a table, converted to SI units.
+
+    ``values`` has the shape (n,); angles are in rad. ``note`` describes an assumption about the
+    unit, and ``unit`` is the name of the unit in the file.
+    """
 
     title: Title
     values: np.ndarray
@@ -82,7 +95,9 @@ class Column(EqualByContent):
 
 
 def parse_units(text: str) -> list[Unit]:
-    """Return the units that ``text`` may mean; ``s`` is siemens, and ``f`` is farad.
+    """Return all units that the string ``text`` may mean.
+
+    For example, ``s`` may be siemens or seconds.
 
     Raises
     ------
@@ -104,7 +119,14 @@ def parse_units(text: str) -> list[Unit]:
 
 
 def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
-    """Return the factor of an SI prefix, None if the text is not a prefix."""
+    """Return the factor of an SI prefix before the unit ``base``.
+
+    Return None if ``prefix`` is not an SI prefix that this unit can have.
+
+    Raises
+    ------
+    ValueError : the prefix may mean milli or mega.
+    """
     if len(prefix) > 1:
         return None
     small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
@@ -125,25 +147,26 @@ def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> flo
 
 
 def _clean_text(text: str) -> str:
-    """Replace unusual letters of a title or unit, and remove quotes.
+    """Replace unusual letters in a title or unit, and remove enclosing quotation marks.
 
-    The text is shortened to :data:`MAX_TITLE_LENGTH` characters.
+    The returned string has at most :data:`MAX_TITLE_LENGTH` characters.
     """
     text = text[:MAX_TITLE_LENGTH]
     for wrong, letter in _DOUBLE_ENCODED.items():
         text = text.replace(wrong, letter)
     text = text.strip()
-    # the quotes of a title are removed, but not the primes of Z' and Z"
+    # quotation marks around a title are removed, but not the primes in Z' and Z"
     text = text[1:].removesuffix('"') if text.startswith('"') else text
-    return text.translate(_GREEK_OHM).strip()
+    return text.translate(_CHARACTER_REPLACEMENTS).strip()
 
 
 def read_title(text: str) -> Title | None:
-    """Parse a title; return None if its meaning is unknown.
+    """Parse the title of a column; return None if its meaning is unknown.
 
     Raises
     ------
-    ValueError : the unit does not belong to the quantity, or its prefix is ambiguous.
+    ValueError : the title's unit does not belong to its quantity, the prefix of the unit is
+        ambiguous, or a unit is missing that would identify the quantity.
     """
     plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
@@ -173,15 +196,15 @@ def read_title(text: str) -> Title | None:
 
 
 def _describe_quantity(meaning: ColumnKind) -> str:
-    """Return the name of a quantity with its default unit, for messages."""
+    """Return the name of a quantity and its default unit, for error messages."""
     label = QUANTITY_LABELS.get(meaning.quantity, meaning.quantity)
     return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
 
 
 def is_frequency(text: str) -> bool:
-    """Return whether a title, or the name of a variable, means the frequency.
+    """Return whether a column title, or the name of a variable, means the frequency.
 
-    The title may have an ambiguous unit.
+    The unit in the title may be ambiguous.
     """
     try:
         title = read_title(text)
@@ -191,7 +214,10 @@ def is_frequency(text: str) -> bool:
 
 
 def is_abscissa(text: str) -> bool:
-    """Return whether a title means the frequency or the time, on which other columns depend."""
+    """Return whether a column title means the frequency or the time.
+
+    The other columns of a table depend on this column.
+    """
     if is_frequency(text):
         return True
     try:
@@ -202,9 +228,10 @@ def is_abscissa(text: str) -> bool:
 
 
 def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
-    """Return the quantity of a column of complex numbers, and the SI value of its unit.
+    """Return the quantity in a column of complex numbers, and the value of its unit in SI units.
 
-    An example of a title is ``Z (kOhm)``. The result is None for other titles.
+    For example, the title ``Z (kOhm)`` means an impedance with the unit 1000. Return None if the
+    title does not mean a complex quantity.
     """
     for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT_MARKS).strip()):
         for quantity, names in COMPLEX_NAMES.items():
@@ -220,7 +247,10 @@ def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
 
 
 def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
-    """Yield the ways to divide a title into words and a unit."""
+    """Yield all possible divisions of a title into words and a unit.
+
+    The unit is None if all parts of the title are words.
+    """
     for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
         if parse_units(match[1]):
             yield title[: match.start()] + " " + title[match.end() :], match[1]
@@ -237,12 +267,18 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
 
 
 def _find_units_of_word(text: str) -> list[Unit]:
-    """Return the units that a word may mean, none if the word is a part of a name."""
+    """Return the units that the last word of a title may mean.
+
+    The words ``-`` and ``1`` belong to a name and are not units.
+    """
     return parse_units(text) if text not in ("-", "1") else []
 
 
 def _normalise_words(stem: str) -> str:
-    """Return the words of a title joined in lower case, without words that instruments add."""
+    """Return the words of a title, joined to one string in lower case.
+
+    Words that instruments add are omitted.
+    """
     low = stem.lower()
     for mark, part in PRIMES:
         low = re.sub(rf"([zy])\s*{mark}", rf"\1{part}", low)
@@ -251,7 +287,7 @@ def _normalise_words(stem: str) -> str:
 
 
 def convert_column(title: Title, values: np.ndarray) -> Column:
-    """Return the column of a title with its ``values`` (n,) converted to SI units.
+    """Convert the ``values`` (n,) of the column with a ``title`` to SI units.
 
     Raises
     ------
@@ -274,7 +310,7 @@ def convert_column(title: Title, values: np.ndarray) -> Column:
 
 
 def _assume_unit(title: Title, values: np.ndarray) -> Unit:
-    """Return the unit of a column without a stated unit."""
+    """Return the assumed unit of a column whose title contains no unit."""
     measures = title.meaning.measures[0]
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])

@@ -1,4 +1,4 @@
-"""Reader of Touchstone files (IBIS Open Forum, 2009)."""
+"""Parser of Touchstone files with measured responses (IBIS Open Forum, 2009)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from kc2spice.core.errors import UsageError
 _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _NUMBER_FORMS = ("ri", "ma", "db")
 _PARAMETER_KINDS = tuple("syzgh")
-_OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
+_KNOWN_OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
 def _require_numbers(words: list[str], text: str) -> None:
-    """Raise an error with the line of the first word that is not a number."""
+    """Raise an error if one of the ``words`` in a Touchstone file is not a number.
+
+    The error contains the line number of the first such word.
+    """
     for word in words:
         try:
             float(word)
@@ -27,10 +30,11 @@ def _require_numbers(words: list[str], text: str) -> None:
 
 
 def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
-    """Parse a text in the format Touchstone 1 or 2 (IBIS Open Forum, 2009).
+    """Parse the response in the text of a Touchstone file of version 1 or 2.
 
-    The parameters are S, Y or Z in the form RI, MA or DB. Only the first option line is used,
-    because the standard requires that all further option lines are ignored.
+    The parameters are S, Y or Z in the form RI, MA or DB. ``ports`` is the number of ports
+    according to the file name. Only the first option line is used, because the standard (IBIS Open
+    Forum, 2009) requires that all further option lines are ignored.
     """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
@@ -48,7 +52,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     for option in options[:1]:
         at = option.index("r") if "r" in option else len(option)
         reference = list(map(float, option[at + 1 :])) or reference
-        unknown = [word for word in option[:at] if word not in _OPTION_WORDS]
+        unknown = [word for word in option[:at] if word not in _KNOWN_OPTION_WORDS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is unknown")
         unit = _choose_word(option[:at], tuple(_FREQUENCY_UNITS), unit)
@@ -66,12 +70,14 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
     if kind in "gh" or not 1 <= n <= 64 or shape not in (["full"], ["lower"], ["upper"]):
         raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
-    symmetric = shape != ["full"]  # only one triangle is stored, row by row
+    symmetric = shape != ["full"]  # the file contains only one triangle of each matrix, row by row
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
     _require_numbers(words, text)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
-    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 are at the end
+    # In version 1, noise parameters follow the response. Their first frequency is lower than the
+    # last frequency of the response.
+    back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(values) % width and not back.size:
         raise ValueError(
             f"{len(values)} numbers are not a multiple of {width}, the count for each frequency"
@@ -89,12 +95,12 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     if n == 2 and order in (None, ["21_12"]):
         P = P.swapaxes(1, 2)
     if kind == "s":
-        _require_driven(P)
+        _reject_undriven_ports(P)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    # in version 1, Y and Z of all ports are relative to the first reference resistance
+    # in version 1, Y and Z of all ports are normalised to the first reference resistance
     if kind != "s" and "version" not in keys:
         P = P * z0[0] if kind == "z" else P / z0[0]
-    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
+    summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_format_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     quantity = _QUANTITIES[kind]
     Y = convert_to_admittance(quantity, P, z0)
@@ -104,15 +110,21 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
 
 
 def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
-    """Return symmetric matrices (m, n, n) of the ``entries`` of one triangle, row by row."""
+    """Return symmetric matrices from the entries of one triangle of each matrix.
+
+    ``entries`` contains the triangle of each of the m matrices, row by row. The returned array has
+    the shape (m, n, n). If ``lower`` is true, it is the lower triangle.
+    """
     rows, columns = np.tril_indices(n) if lower else np.triu_indices(n)
     P = np.zeros((len(entries), n, n), dtype=complex)
     P[:, rows, columns] = P[:, columns, rows] = entries
     return P
 
 
-def _require_driven(S: np.ndarray) -> None:
-    """Raise an error if a port was not driven, because some analysers then write zeros.
+def _reject_undriven_ports(S: np.ndarray) -> None:
+    """Raise an error if a port was not driven during the measurement.
+
+    Some analysers write zeros for such a port.
 
     Raises
     ------
@@ -135,7 +147,9 @@ def _require_driven(S: np.ndarray) -> None:
 
 
 def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
-    """Return the word of an option line that is one of the choices.
+    """Return the word of an option line that is one of the ``choices``.
+
+    Return the ``default`` if the option line contains none of them.
 
     Raises
     ------
@@ -147,6 +161,6 @@ def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> st
     return present[0] if present else default
 
 
-def _spell_unit(unit: str) -> str:
-    """Return a unit of frequency with the usual capital letters."""
+def _format_unit(unit: str) -> str:
+    """Return a frequency unit in the usual letter case, such as ``kHz``."""
     return unit[:-2].upper().replace("K", "k") + "Hz"
