@@ -1,4 +1,4 @@
-"""Page ``bench.html``: errors and CPU times of a scene with different settings."""
+"""Writer of the page ``bench.html``: errors and CPU times of a scene with different settings."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, write_page
 
-SMALLEST_ERROR = 1e-16  # value in place of a zero error on the logarithmic axis
+SMALLEST_ERROR = 1e-16  # value that replaces a zero error on the logarithmic axis
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
-    """Write the page of a benchmark from the ``record`` of its results."""
+    """Write the page of a benchmark to the ``directory``.
+
+    ``record`` contains the results of the benchmark.
+    """
     sections = [
         PageSection("Error against time", figures=[plot_bench(record)]),
         *format_bench(record),
@@ -29,17 +32,20 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``bench`` for page and terminal, fastest settings first."""
+    """Return the results of ``kc2spice bench`` as sections, for page and terminal.
+
+    The settings are in the order of the ``record``.
+    """
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     failed = list(map(itemgetter("label", "why"), record["failed"]))
     return [
         PageSection("Recommended", format_recommendation(record)),
-        PageSection("Settings", list(map(_setting_row, record["points"])), head),
+        PageSection("Settings", list(map(_make_setting_row, record["points"])), head),
         PageSection("Settings without a result", failed, ("setting", "why")),
     ]
 
 
-def _setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
+def _make_setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the table row of a setting: errors, CPU time and spread of the CPU time."""
     low, high = point["time_low_s"], point["time_high_s"]
     return (
@@ -53,7 +59,7 @@ def _setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of recommended settings, the scene's settings and the reference."""
+    """Return table rows of the recommended settings, the scene's settings and the reference."""
     current = next(filter(itemgetter("own"), record["points"]))
     best, reference = record["recommended"], record["reference"]
     rows = [
@@ -82,13 +88,16 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _list_metrics(metrics: Sequence[str]) -> str:
-    """Return the names of metrics in one line; curves of one group have one common name."""
+    """Return the names of metrics as one string.
+
+    Several curves of the same group are listed by the name of the group and their number.
+    """
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 
 
 def _format_cost(point: Mapping[str, Any]) -> str:
-    """Return a text with the error and the CPU time of a setting."""
+    """Return the error and the CPU time of a setting as one string."""
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return (
         f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"
@@ -96,7 +105,7 @@ def _format_cost(point: Mapping[str, Any]) -> str:
 
 
 def plot_bench(record: Mapping[str, Any]) -> Figure:
-    """Plot the CPU time over the error for all settings."""
+    """Plot the CPU time versus the error for all settings of a benchmark."""
     points, best = record["points"], record["recommended"]
     front = sorted(filter(itemgetter("front"), points), key=itemgetter("error"))
     curves = [
@@ -118,7 +127,7 @@ def plot_bench(record: Mapping[str, Any]) -> Figure:
 
 
 def _plot_settings(label: str, points: Sequence[Mapping[str, Any]], style: str = "o") -> Curve:
-    """Return the curve of the CPU time over the error for these settings."""
+    """Return a curve of the CPU time versus the error for the settings in ``points``."""
     columns = map(itemgetter("error", "time_s", "label"), points)
     error, time, names = zip(*columns, strict=True) if points else ((), (), ())
     return Curve(label, np.maximum(error, SMALLEST_ERROR), np.array(time), style, names)

@@ -1,8 +1,9 @@
-"""Conversion of figures to data for the browser.
+"""Conversion of figures to data for the script that draws them in the browser.
 
-The script ``templates/plots.js`` draws the figures with the library uPlot. uPlot requires ascending
-values of x. A curve that changes its direction therefore becomes one curve for each direction.
-Points are sorted, and repeated values of x are replaced by neighbouring floats.
+The script ``templates/plots.js`` draws the figures with the library uPlot. uPlot requires that the
+values of x increase. Therefore, a curve whose x increases and decreases is divided into curves at
+its turning points. The points of each curve are sorted by x. Repeated values of x are replaced by
+adjacent floating-point numbers.
 """
 
 from __future__ import annotations
@@ -21,18 +22,20 @@ from jinja2.utils import htmlsafe_json_dumps
 from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.core.prefix import PREFIXES, prefix_power
 
-PANEL_POINTS = 4000  # approximate number of points of a panel, two for each pixel of a wide screen
+# approximate number of points of a panel, two points for each horizontal pixel of a wide screen
+PANEL_POINTS = 4000
 LEGEND_CURVES = 4  # largest number of curves in one legend
-# units that get an SI prefix on an axis
+# units to which an axis adds an SI prefix
 _PREFIXABLE_UNITS = {
     "m", "m/s", "s", "V", "A", "W", "N", "J", "C", "F", "H", "Hz", "Pa", "T", "g", "Ω",
 }  # fmt: skip
 
 
 def render_figure(figure: Figure) -> str:
-    """Return the HTML element ``<figure>`` with panels as JSON and a caption.
+    """Return a figure as the HTML element ``<figure>``.
 
-    Panels without curves and maps are omitted. The result is empty if no panel remains.
+    The element contains the panels as JSON and the caption. Panels without curves and maps are
+    omitted. Return an empty string if no panel remains.
     """
     stacked = figure.columns == 1
     panels = list(chain.from_iterable(map(_split_panel, figure.panels)))
@@ -43,7 +46,7 @@ def render_figure(figure: Figure) -> str:
         panels = _scale_x(panels, labels[-1] if labels else "")
     else:
         panels = list(chain.from_iterable(_scale_x([panel], panel.x) for panel in panels))
-    span = _join_ranges(map(_range_x, panels)) if stacked else None
+    span = _join_ranges(map(_find_x_range, panels)) if stacked else None
     numbered = [*[not stacked] * (len(panels) - 1), True]
     data = {
         "title": figure.title,
@@ -64,17 +67,23 @@ def render_figure(figure: Figure) -> str:
 
 
 def _split_panel(panel: Panel) -> Iterator[Panel]:
-    """Split a panel into panels with few, ascending curves; may return no panels."""
+    """Split a panel into panels with few curves, in which x increases.
+
+    Yield no panel if the panel contains neither curves nor a map.
+    """
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))
 
 
 def _sort_curves(panel: Panel) -> Panel:
-    """Return ``panel`` with curves over ascending x, except for panels of outlines."""
+    """Return ``panel`` with curves in which x increases.
+
+    Panels with equal scales of both axes contain outlines and are returned unchanged.
+    """
     if panel.equal:
         return panel
     curves = chain.from_iterable(map(_split_at_turns, panel.curves))
-    # the last curve is drawn above the others
+    # the reference curve is the last curve, so that it is drawn above all other curves
     return replace(panel, curves=tuple(sorted(curves, key=_is_reference)))
 
 
@@ -83,7 +92,7 @@ def _is_reference(curve: Curve) -> bool:
 
 
 def _split_at_turns(curve: Curve) -> Iterator[Curve]:
-    """Yield a curve over ascending x for each monotonic section of ``curve``."""
+    """Yield a curve with increasing x for each section of ``curve`` between two turning points."""
     x = np.asarray(curve.x, dtype=float)
     if curve.style == "o":
         yield _select_points(curve, np.argsort(x, kind="stable"))
@@ -100,16 +109,17 @@ def _split_at_turns(curve: Curve) -> Iterator[Curve]:
 
 
 def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
-    """Return ``curve`` with only the points with these indices, in this order."""
+    """Return ``curve`` with only the points that have the ``indices``, in this order."""
     names = tuple(map(curve.names.__getitem__, indices)) if curve.names else ()
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     return replace(curve, x=x[indices], y=y[indices], names=names)
 
 
 def _scale_y(panel: Panel) -> Panel:
-    """Return ``panel`` with the SI prefix that suits its largest value.
+    """Return ``panel`` with an SI prefix for its y axis that suits the largest value.
 
-    A y axis that shows powers of ten has no prefix.
+    A y axis that shows powers of ten has no SI prefix. In a panel with a map, the prefix is for the
+    values of the map.
     """
     if panel.equal:
         return panel
@@ -117,34 +127,37 @@ def _scale_y(panel: Panel) -> Panel:
         label, scale = _choose_prefix(panel.map.label, panel.map.z)
         return replace(panel, map=replace(panel.map, label=label, z=scale * panel.map.z))
     levels = list(map(itemgetter(0), panel.levels))
-    label, scale = _choose_prefix(panel.y, np.append(_y_values(panel), levels))
+    label, scale = _choose_prefix(panel.y, np.append(_collect_y(panel), levels))
     if scale == 1.0 or (panel.log_y and _spans_decade(panel)):
         return panel  # the axis shows powers of ten
     return replace(
         panel,
         y=label,
         curves=tuple(replace(curve, y=scale * np.asarray(curve.y)) for curve in panel.curves),
-        levels=tuple(_scale_labelled(panel.levels, scale)),
-        bands=tuple(_scale_labelled(panel.bands, scale)),
+        levels=tuple(_scale_labelled_numbers(panel.levels, scale)),
+        bands=tuple(_scale_labelled_numbers(panel.bands, scale)),
     )
 
 
-def _scale_labelled(rows: Iterable[Sequence[Any]], scale: float) -> Iterator[Any]:
-    """Multiply the numbers in rows ``(number, …, label)`` by ``scale``."""
+def _scale_labelled_numbers(rows: Iterable[Sequence[Any]], scale: float) -> Iterator[Any]:
+    """Yield rows ``(number, …, label)`` whose numbers are multiplied by ``scale``."""
     for *numbers, label in rows:
         yield (*(scale * np.array(numbers)).tolist(), label)
 
 
 def _spans_decade(panel: Panel) -> bool:
-    """Return whether the largest positive y is at least ten times the smallest one."""
-    y = _y_values(panel)
+    """Return whether the largest positive y is at least ten times the smallest positive y."""
+    y = _collect_y(panel)
     y = y[np.isfinite(y) & (y > 0.0)]
     return bool(y.size) and bool(y.max() >= 10.0 * y.min())
 
 
 def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
-    """Return ``panels``, whose common x axis has a suitable SI prefix."""
-    values = np.concatenate(list(map(_x_values, panels)))
+    """Return ``panels`` with a suitable SI prefix for their common x axis.
+
+    ``label`` is the label of the x axis.
+    """
+    values = np.concatenate(list(map(_collect_x, panels)))
     name, scale = _choose_prefix(label, values)
     if scale == 1.0 or any(panel.log_x or panel.equal for panel in panels):
         return [replace(panel, x=panel.x or label) for panel in panels]
@@ -152,19 +165,23 @@ def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
 
 
 def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
-    """Return the panel with all values of x multiplied by a factor."""
+    """Return a panel whose values of x are multiplied by ``scale``, with a new x label."""
     return replace(
         panel,
         x=label,
         curves=tuple(replace(curve, x=scale * np.asarray(curve.x)) for curve in panel.curves),
-        marks=tuple(_scale_labelled(panel.marks, scale)),
+        marks=tuple(_scale_labelled_numbers(panel.marks, scale)),
         span=panel.span and (scale * panel.span[0], scale * panel.span[1]),
         map=panel.map and replace(panel.map, x=scale * np.asarray(panel.map.x)),
     )
 
 
 def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
-    """Return the label and the factor of an axis with a suitable SI prefix."""
+    """Choose an SI prefix for the ``values`` on an axis.
+
+    Return the label of the axis with this prefix, and the factor by which the values must be
+    multiplied.
+    """
     quantity, _, text = label.rpartition(" in ")
     factor, unit = _split_prefix(text)
     finite = np.asarray(values, dtype=float)
@@ -179,7 +196,10 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
 
 
 def _split_prefix(unit: str) -> tuple[float, str]:
-    """Split a unit into the factor of its prefix and the unit without prefix, as 1e-3 and A."""
+    """Split a unit into the factor of its SI prefix and the unit without prefix.
+
+    For example, mA is split into 1e-3 and A.
+    """
     if unit in _PREFIXABLE_UNITS:
         return 1.0, unit
     for power, prefix in PREFIXES.items():
@@ -210,41 +230,41 @@ Range = tuple[float, float]
 
 
 def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> dict[str, Any]:
-    """Encode a panel for the script.
+    """Encode a panel as data for the script in the browser.
 
-    ``span`` is the common range of x of all panels. Only the ``last`` panel shows numbers at its x
-    axis.
+    ``span`` is the common range of x of all panels, or None if each panel has a separate range.
+    Only the ``last`` panel shows numbers at its x axis.
     """
-    span = _round_outwards(span or _range_x(panel))
+    span = _round_outwards(span or _find_x_range(panel))
     result: dict[str, Any] = {
         "x": panel.x, "y": panel.y, "log_x": panel.log_x, "log_y": panel.log_y,
-        "equal": panel.equal, "last": last, "spoken": _alternative_text(title, panel, span),
+        "equal": panel.equal, "last": last, "spoken": _describe_panel(title, panel, span),
         "levels": panel.levels, "bands": panel.bands, "marks": panel.marks,
         "range_x": span, "curves": [], "outlines": [], "map": None,
     }  # fmt: skip
     outlines = panel.equal or panel.map is not None
-    points = zip(panel.curves, _selected_points(panel), strict=True)
+    points = zip(panel.curves, _select_point_indices(panel), strict=True)
     curves = [_encode_curve(curve, indices, not outlines) for curve, indices in points]
     if outlines:
-        range_y = _range_y(panel)
+        range_y = _find_y_range(panel)
         result |= {"outlines": curves, "whole_x": span, "whole_y": range_y, "range_y": range_y}
     else:
         result["curves"] = curves
     if panel.map is not None:
-        low, high = _finite_range(panel.map.z)
+        low, high = _find_finite_range(panel.map.z)
         result |= {"map": _encode_map(panel.map, low, high), "low": low, "high": high}
     return result
 
 
 def _round_outwards(span: Range) -> Range:
-    """Return a range with ends in single precision that contains ``span``."""
+    """Return a range that contains ``span`` and the same range in single precision."""
     low, high = np.array(span, dtype=np.float32).tolist()
     return min(span[0], low), max(span[1], high)
 
 
-def _alternative_text(title: str, panel: Panel, span: Range) -> str:
-    """Describe a panel for screen readers: quantities, their ranges, and curves."""
-    low, high = _finite_range(panel.map.z if panel.map is not None else _y_values(panel))
+def _describe_panel(title: str, panel: Panel, span: Range) -> str:
+    """Return the alternative text of a panel: quantities, their ranges, and names of curves."""
+    low, high = _find_finite_range(panel.map.z if panel.map is not None else _collect_y(panel))
     quantity = panel.map.label if panel.map is not None else panel.y
     names = ", ".join(filter(None, map(attrgetter("label"), panel.curves)))
     text = f"{title}: {quantity} from {low:.4g} to {high:.4g}"
@@ -252,51 +272,51 @@ def _alternative_text(title: str, panel: Panel, span: Range) -> str:
     return f"{text}; {names}" if names else text
 
 
-def _x_values(panel: Panel) -> np.ndarray:
-    """Return the values of x of all curves and of the map in one array."""
+def _collect_x(panel: Panel) -> np.ndarray:
+    """Return the values of x of all curves and of the map in a panel as one array."""
     maps = [panel.map.x] if panel.map is not None else []
     return np.concatenate([np.zeros(0), *map(attrgetter("x"), panel.curves), *maps])
 
 
-def _y_values(panel: Panel) -> np.ndarray:
-    """Return the values of y of all curves in one array."""
+def _collect_y(panel: Panel) -> np.ndarray:
+    """Return the values of y of all curves in a panel as one array."""
     return np.concatenate([np.zeros(0), *map(attrgetter("y"), panel.curves)])
 
 
-def _finite_range(values: np.ndarray) -> Range:
-    """Return the smallest and the largest finite value; 0 and 1 if no value is finite."""
+def _find_finite_range(values: np.ndarray) -> Range:
+    """Return the smallest and the largest finite value, or 0 and 1 if no value is finite."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     return (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
 
 
-def _range_x(panel: Panel) -> Range:
+def _find_x_range(panel: Panel) -> Range:
     """Return the range of the x axis of a panel."""
     if panel.span is not None:
         return panel.span
     if panel.map is not None:
-        return _widen_range(_cell_edges(panel.map.x, panel.log_x))
-    return _widen_range(_join_ranges(map(_curve_range, panel.curves)))
+        return _widen_range(_find_cell_edges(panel.map.x, panel.log_x))
+    return _widen_range(_join_ranges(map(_find_curve_range, panel.curves)))
 
 
-def _range_y(panel: Panel) -> Range:
+def _find_y_range(panel: Panel) -> Range:
     """Return the range of the y axis of a panel."""
     if panel.map is not None:
-        return _widen_range(_cell_edges(panel.map.y, panel.log_y))
-    return _widen_range(_finite_range(_y_values(panel)))
+        return _widen_range(_find_cell_edges(panel.map.y, panel.log_y))
+    return _widen_range(_find_finite_range(_collect_y(panel)))
 
 
-def _cell_edges(centres: np.ndarray, log: bool) -> Range:
-    """Return the two outer edges of a row of cells with these centres."""
+def _find_cell_edges(centres: np.ndarray, log: bool) -> Range:
+    """Return the two outer edges of a row of map cells from the ``centres`` of the cells."""
     at = np.log10(centres) if log else np.asarray(centres, dtype=float)
     half = np.diff(at)[[0, -1]] / 2 if at.size > 1 else np.full(2, 0.5)
     low, high = at[0] - half[0], at[-1] + half[1]
     return (float(10**low), float(10**high)) if log else (float(low), float(high))
 
 
-def _curve_range(curve: Curve) -> Range:
+def _find_curve_range(curve: Curve) -> Range:
     """Return the range of x of a curve, including the widths of bars."""
-    low, high = _finite_range(curve.x)
+    low, high = _find_finite_range(curve.x)
     bars = curve.style == "bar" and len(curve.x) > 1
     half = float(curve.x[1] - curve.x[0]) / 2 if bars else 0.0
     return low - half, high + half
@@ -309,27 +329,33 @@ def _join_ranges(ranges: Iterable[Range]) -> Range:
 
 
 def _widen_range(ends: Range) -> Range:
-    """Return the range ``ends``, or a wider range if both ends are equal."""
+    """Return a range with the given ends, or a wider range if both ends are equal."""
     low, high = ends
     half = abs(low) / 2 or 1.0
     return (low, high) if low < high else (low - half, high + half)
 
 
 def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
-    """Encode the points of a curve with these indices for the script."""
+    """Encode the points of a curve with the ``indices`` as data for the script in the browser.
+
+    If ``ascending`` is true, repeated values of x are separated.
+    """
     points = _select_points(curve, indices)
     x = points.x.astype("<f4")
     return {
         "label": curve.label,
         "style": curve.style,
-        "x": _encode_numbers(_separate_equal(x) if ascending else x),
+        "x": _encode_numbers(_separate_equal_numbers(x) if ascending else x),
         "y": _encode_numbers(points.y),
         "names": points.names,
     }
 
 
 def _encode_map(field: Map, low: float, high: float) -> dict[str, str]:
-    """Encode a map as centres and colours: 0 is ``low``, 65534 ``high``, 65535 no value."""
+    """Encode a map as the centres of its cells and the colour number of each cell.
+
+    The colour number is 0 for the value ``low``, 65534 for ``high``, and 65535 for a missing value.
+    """
     share = (np.asarray(field.z, dtype=float) - low) / ((high - low) or 1.0)
     z = np.where(np.isfinite(share), np.round(65534 * share), 65535).astype("<u2")
     return {
@@ -345,11 +371,11 @@ def _encode_numbers(values: np.ndarray) -> str:
     return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
 
 
-def _separate_equal(x: np.ndarray) -> np.ndarray:
-    """Replace repeated ascending float32 numbers by the next larger float32 numbers.
+def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
+    """Replace repeated numbers in an increasing float32 array by the next larger float32 numbers.
 
-    The bit patterns of positive floats, read as integers, have the same order as the floats; for
-    negative floats the order is reversed.
+    The bit patterns of positive floats, read as integers, have the same order as the floats. The
+    bit patterns of negative floats have the reversed order.
     """
     bits = x.view("<i4").astype(np.int64)
     rank = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
@@ -359,10 +385,10 @@ def _separate_equal(x: np.ndarray) -> np.ndarray:
     return bits.astype("<i4").view("<f4")
 
 
-def _selected_points(panel: Panel) -> list[np.ndarray]:
-    """Return the indices of those points of each curve that a page contains.
+def _select_point_indices(panel: Panel) -> list[np.ndarray]:
+    """Return the indices of the points of each curve that are written to the page.
 
-    For curves over the same x, the indices are equal.
+    All curves have the same indices if they have the same values of x.
     """
     curves = panel.curves
     if panel.equal or panel.map is not None:
@@ -378,10 +404,10 @@ def _selected_points(panel: Panel) -> list[np.ndarray]:
 
 
 def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
-    """Return the indices of about ``count`` points that preserve all peaks and corners.
+    """Return the indices of about ``count`` points of a curve that preserve its peaks and corners.
 
     The points are the extremes of each group of consecutive points, and the points on both sides of
-    the largest jumps and of gaps.
+    the largest jumps and of gaps. ``y`` contains the values of the curve.
     """
     if y.size <= count:
         return np.arange(y.size)

@@ -1,4 +1,4 @@
-"""Drawings on the page of a run: side view of the devices to scale, and circuit."""
+"""Drawings on the report page of a run: side view of the devices to scale, and circuit."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from kc2spice.core.figure import Shape
 from kc2spice.report.html import render_page
 from kc2spice.scene.model import Scene
 
-# Largest width and height of the side view, in page units.
-SKETCH_WIDTH = 520.0
-SKETCH_HEIGHT = 300.0
-LETTER_WIDTH = 6.2
-NET_SPACING = 24.0  # distance of two nets in the circuit
-PART_HEIGHT = 74.0  # height of a part in the circuit
-# Colours as CSS variables of the page, with values for a drawing outside of the page.
+# Lengths in SVG units.
+SKETCH_WIDTH = 520.0  # largest width of the side view
+SKETCH_HEIGHT = 300.0  # largest height of the side view
+LETTER_WIDTH = 6.2  # mean width of a letter in a label
+NET_SPACING = 24.0  # vertical distance between the lines of two nets in the circuit
+PART_HEIGHT = 74.0  # height of the box of a part in the circuit
+# Colours as CSS variables of the page, with default values for drawings outside of the page.
 BLUE = "var(--blue, #0072B2)"
 ORANGE = "var(--orange, #B86E00)"
 GREEN = "var(--green, #009E73)"
@@ -34,7 +34,10 @@ FLOW_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def draw_devices(scene: Scene) -> str:
-    """Draw the side view of all parts with an outline, to scale."""
+    """Draw a side view of all parts that have an outline, to scale, as SVG.
+
+    Return an empty string if no part has an outline.
+    """
     shapes = _place_shapes(scene)
     if not shapes:
         return ""
@@ -67,15 +70,18 @@ def draw_devices(scene: Scene) -> str:
 
 
 def describe_devices(scene: Scene) -> str:
-    """Return the caption of the side view, with all labels, because labels may be cut off."""
+    """Return the caption of the side view, which contains all labels.
+
+    In the drawing, labels may be cut off.
+    """
     names = filter(None, map(attrgetter("label"), _place_shapes(scene)))
     return f"Side view, to scale. {'; '.join(dict.fromkeys(names))}."
 
 
 def _place_shapes(scene: Scene) -> list[Shape]:
-    """Return the shapes of all parts, with bodies beside each other.
+    """Return the shapes of all parts in the side view, with bodies beside each other.
 
-    Parts that are no bodies are drawn above the first body.
+    Parts that are not bodies keep their position, which is above the first body.
     """
     result: list[Shape] = []
     end = None
@@ -90,8 +96,12 @@ def _place_shapes(scene: Scene) -> list[Shape]:
 
 
 def draw_circuit(scene: Scene) -> str:
-    """Draw the circuit: parts as boxes in a row, and nets as horizontal lines above."""
-    ends: dict[str, list[tuple[float, str, str]]] = {}  # by net: place, pin, colour
+    """Draw the circuit of a scene as SVG.
+
+    Parts are boxes in a row, and nets are horizontal lines above the boxes.
+    """
+    # horizontal position, name and colour of each pin, keyed by net
+    ends: dict[str, list[tuple[float, str, str]]] = {}
     boxes, x = [], 10.0
     for part in scene.parts.values():
         pins = scene.pins(part.name)
@@ -129,7 +139,11 @@ def draw_circuit(scene: Scene) -> str:
 
 
 def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
-    """Return the vertical level of each net, so that nets of one level do not overlap."""
+    """Return the vertical level of each net's line in the circuit, keyed by net.
+
+    The lines of nets on the same level do not overlap. ``spans`` contains the horizontal range of
+    each line.
+    """
     levels: list[list[tuple[float, float]]] = []
     result = {}
     for net, (first, last) in sorted(spans.items(), key=lambda item: item[1][1] - item[1][0]):
@@ -145,6 +159,6 @@ def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
 
 
 def _overlaps(span: tuple[float, float], others: Iterable[tuple[float, float]]) -> bool:
-    """Return whether a range overlaps one of the other ranges."""
+    """Return whether the range ``span`` overlaps any of the ``others``."""
     low, high = span
     return any(low <= end and start <= high for start, end in others)

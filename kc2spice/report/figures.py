@@ -1,4 +1,4 @@
-"""Drawing of figures by matplotlib, for PNG files and notebooks."""
+"""Drawing of figures with matplotlib, for PNG files and notebooks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
 
-# Colours of Okabe and Ito, "Color Universal Design" (2008), for all kinds of colour vision.
+# Colours of Okabe and Ito, "Color Universal Design" (2008), which people with any type of colour
+# vision can distinguish.
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -22,7 +23,7 @@ BLACK = "#222222"
 GREY = "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
-LABELS_ABOVE = 4  # a legend with more labels is beside the axes
+LABELS_ABOVE = 4  # largest number of labels in a legend above the axes, not beside the axes
 _LEGEND_ABOVE_AXES: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
 _LEGEND_BESIDE_AXES: Any = {
     "loc": "upper left",
@@ -52,29 +53,29 @@ _PLOT_STYLE: Any = {
 
 
 def write_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
-    """Draw every figure as ``NAME.png``; return the names of the files."""
+    """Draw each figure to a file ``NAME.png`` in the ``directory``; return the file names."""
     names = []
     for figure in figures:
         page = make_notebook_figure(figure)
         names.append(f"{figure.name}.png")
-        # With a layout engine, savefig would draw everything twice.
+        # With a layout engine, savefig would draw the page twice.
         page.get_layout_engine().execute(page)
         page.set_layout_engine("none")
         page.savefig(
             directory / names[-1],
             metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # a layout engine takes longer than the drawing
+            pil_kwargs={"compress_level": 2},  # fast compression
         )
     return names
 
 
 def make_notebook_figure(figure: Figure) -> Any:
-    """Return ``figure`` as a matplotlib figure, which notebooks display."""
+    """Convert ``figure`` to a matplotlib figure, which notebooks display as a PNG image."""
     import matplotlib
     from matplotlib.figure import Figure as MatplotlibFigure
 
     class NotebookFigure(MatplotlibFigure):
-        """Figure that notebooks display as PNG."""
+        """Matplotlib figure that notebooks display as a PNG image."""
 
         def _repr_png_(self) -> bytes:
             stream = BytesIO()
@@ -122,7 +123,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
         inches = axes.get_window_extent().width / axes.figure.dpi
-        # width of the legend in letters, including line samples
+        # approximate width of the legend in letters, including the line samples
         long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches
         axes.legend(
             **(_LEGEND_BESIDE_AXES if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE_AXES)
@@ -130,7 +131,10 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """Draw the ``k``-th curve of a panel; all lines except the first one have markers."""
+    """Draw the curve with the index ``k`` in a panel.
+
+    Solid lines have markers, except for the first curve of the panel.
+    """
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
     marks = {"marker": _MARKERS[k % len(_MARKERS)], "ms": 4}
@@ -149,16 +153,17 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
 
 
 def _set_log_scale(axes: Any, axis: Any) -> None:
-    """Make an axis logarithmic, with ticks at 1, 2, 5, … or at decades.
+    """Make an axis logarithmic, with ticks at 1, 2, 5, … or at powers of ten.
 
-    The labels are plain numbers. The drawing of minor ticks and of labels as powers of ten would
-    take longer than the drawing of all other elements of a figure.
+    The labels of the ticks are plain numbers, and there are no minor ticks. Minor ticks and labels
+    such as 10^3 would take more drawing time than all other elements of a figure.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
-    decades = 2 if axis.axis_name == "x" else 3  # in a longer range, adjacent labels would overlap
+    # Ticks at 1, 2, 5 are used up to this number of decades; above it, labels would overlap.
+    decades = 2 if axis.axis_name == "x" else 3
     narrow = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
     axis.set_minor_locator(NullLocator())

@@ -1,4 +1,4 @@
-"""Page ``report.html`` of a fit: keys, errors, and impedances before and after."""
+"""Writer of the page ``report.html`` of a fit: fitted keys, errors, and impedances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Admittances (n,) [S] over ``f`` (n,) [Hz]: measured, and before and after a fit."""
+    """Admittances for a figure of a fit: measured, before the fit, and after the fit.
+
+    All admittances [S] are arrays of shape (n,) at the frequencies ``f`` (n,) [Hz].
+    """
 
     name: str
     f: np.ndarray
@@ -25,7 +28,10 @@ class PlottedCurve:
 
 
 def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCurve]) -> None:
-    """Write the page of a fit from the ``record`` of its results and its ``curves``."""
+    """Write the page of a fit to ``path``.
+
+    ``record`` contains the results of the fit, and ``curves`` the measured and fitted admittances.
+    """
     sections = format_fit(record)
     for curve in curves:
         figures = plot_fit(curve.f, curve.measured, curve.before, curve.after)
@@ -41,51 +47,55 @@ def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCur
 
 
 def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``fit`` for page and terminal."""
+    """Return the results of ``kc2spice fit`` as sections, for page and terminal."""
     keys = tuple(record["parameters"])
     sections = [
-        PageSection("Values", list(map(_value_row, keys, record["parameters"].values())),
+        PageSection("Values", list(map(_make_value_row, keys, record["parameters"].values())),
                     ("key", "value", "standard error", "range", "bound")),
         PageSection("Fit", _format_quality(record)),
-        PageSection("Resonances", list(map(_number_row, record["resonances"])),
+        PageSection("Resonances", list(map(_make_number_row, record["resonances"])),
                     ("measured in Hz", "at the scene's values", "fitted"),
                     note="peaks of the conductance, in their order"),
-        PageSection("Starts", list(map(_number_row, record["starts"])),
+        PageSection("Starts", list(map(_make_number_row, record["starts"])),
                     (*keys, "half the sum of squares")),
-        PageSection("Correlation", list(map(_correlation_row, keys, record["correlation"])),
+        PageSection("Correlation", list(map(_make_correlation_row, keys, record["correlation"])),
                     ("", *keys)),
     ]  # fmt: skip
     if curves := record.get("curves"):
         titles = ("curve", "keys of the measurement", "use", "rms", "largest")
-        sections.insert(2, PageSection("Error of |Z|", list(map(_curve_row, curves)), titles))
+        sections.insert(2, PageSection("Error of |Z|", list(map(_make_curve_row, curves)), titles))
     return sections
 
 
-def _curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a measured curve: file, keys, use and errors."""
+def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the table row of a measured curve: file, keys of the measurement, use and errors."""
     keys = ", ".join(f"{key} = {value}" for key, value in curve["set"].items())
     use = "predicted" if curve["predict"] else "fitted"
     return curve["data"], keys, use, f"{curve['rms']:.2%}", f"{curve['largest']:.2%}"
 
 
-def _value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a fitted key: value, standard error and range."""
+def _make_value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the table row of a fitted key: value, standard error, range and bound."""
     limits = f"{item['low']:g} to {item['high']:g}"
     bound = "met" if item["at_bound"] else ""
     return key, f"{item['value']:.6g}", f"{item['sigma']:.2g}", limits, bound
 
 
-def _number_row(numbers: Mapping[str, float | None]) -> tuple[str, ...]:
+def _make_number_row(numbers: Mapping[str, float | None]) -> tuple[str, ...]:
     """Return a table row of numbers, with empty cells for missing numbers."""
     return tuple("" if value is None else f"{value:.6g}" for value in numbers.values())
 
 
-def _correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]:
+def _make_correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]:
     return key, *map("{:+.3f}".format, coefficients)
 
 
 def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of deviation, statistics, and keys that the data do not determine."""
+    """Return table rows of the quality of a fit.
+
+    The rows contain the deviation of the impedance, statistics, warnings, and combinations of keys
+    that the data do not determine.
+    """
     error = record["error"]
     facts = [
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
@@ -105,7 +115,11 @@ def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def plot_fit(
     f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> tuple[Figure, ...]:
-    """Plot magnitude and phase of the three impedances, and the deviation after the fit."""
+    """Plot the impedances of a fit: measured, before the fit, and after the fit.
+
+    The panels show magnitude and phase of the three impedances, and the deviation of the fitted
+    impedance. ``Y``, ``before`` and ``after`` are admittances [S].
+    """
     x, factor = scale_axis("frequency", f)
     f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}

@@ -1,8 +1,8 @@
-"""Self-contained HTML pages, whose sections contain tables, notes and figures.
+"""Writer of self-contained HTML pages, whose sections contain tables, notes and figures.
 
 The browser draws the figures. For this purpose, a page contains the curves as data, the library
-uPlot, and the script ``plots.js``. Numbers have SI prefixes. Keys of ``result.json`` are converted
-to words.
+uPlot, and the script ``plots.js``. Numbers are written with SI prefixes. Labels in words replace
+the keys of ``result.json``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.spelling import template_renderer
 from kc2spice.report.charts import render_figure
 
-# Words of labels that differ from the corresponding words of keys.
+# Words in labels that replace words in keys of `result.json`.
 _LABEL_WORDS = {
     "bvd": "equivalent circuit",
     "quality": "Q factor",
@@ -31,19 +31,19 @@ _LABEL_WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Labels of keys of resonances, which also state the electrical condition.
+# Labels of the keys of resonances. They also contain the electrical condition.
 _LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
 }
-# Suffixes of keys of result.json, keyed by unit.
+# Suffixes that keys of `result.json` have for each unit, keyed by unit.
 _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
-# Names of quantities by unit, which distinguish keys with identical labels.
+# Names of physical quantities, keyed by unit. They are added to labels that are otherwise equal.
 _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
@@ -52,12 +52,15 @@ MAX_ROW_VALUES = 8  # largest number of values of a list in one row
 
 
 def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return table rows of stages and their wall times."""
+    """Return table rows of the stages of a run and their wall times."""
     return [(stage, format_quantity(float(time), "s", 3)) for stage, time in seconds.items()]
 
 
 def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested mappings, with names joined by ``joint``."""
+    """Yield the name and the value of each leaf in nested mappings.
+
+    The name consists of the keys on the path to the leaf, joined by ``joint``.
+    """
     if isinstance(value, Mapping):
         for name, item in value.items():
             yield from flatten_mapping(item, joint, f"{path}{joint}{name}" if path else str(name))
@@ -66,14 +69,16 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return the label of a key of ``result.json``, without the suffix of its unit."""
+    """Return the label of a key in ``result.json``, without the suffix for its ``unit``."""
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
 
 
 def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
-    """Return labels of keys, in which the quantity distinguishes equal labels.
+    """Return unique labels: the physical quantity is added to labels that are equal.
+
+    ``labels`` and ``units`` are keyed by the keys of ``result.json``.
 
     Examples
     --------
@@ -90,7 +95,7 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
 
 
 def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return the texts of a key of ``result.json`` and of its value with ``unit``."""
+    """Return the label of a key in ``result.json``, and its value with ``unit`` as a string."""
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
@@ -98,7 +103,7 @@ def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
 
 
 def format_value(value: Any, unit: str = "") -> str:
-    """Return the text of a value: a number with unit, yes or no, or ``not reached``."""
+    """Return a value as a string: a number with unit, ``yes``, ``no``, or ``not reached``."""
     if value is None:
         return "not reached"
     if isinstance(value, bool):
@@ -112,7 +117,8 @@ def format_value(value: Any, unit: str = "") -> str:
 class PageSection:
     """Section of a page: heading, drawing, table, links, note and figures.
 
-    Each part of a section is optional. ``drawing`` is HTML markup that is not escaped.
+    All parts except the heading ``title`` are optional. ``drawing`` is HTML markup that is not
+    escaped.
     """
 
     title: str
@@ -137,31 +143,39 @@ def write_page(
     *,
     origin: Sequence[str] = (),
 ) -> Path:
-    """Write a self-contained page.
+    """Write a self-contained HTML page to ``path``; return the path.
 
     Sections that contain only a note are omitted. ``lead`` is the text below the title. The footer
-    states version, date, command and ``origin``.
+    contains the version of kc2spice, the date, the command and the strings in ``origin``.
     """
     text = render_page(
         "report.html.j2",
         title=title,
         lead=lead,
         sections=[section for section in sections if section.has_content],
-        footer=", ".join([f"kc2spice {__version__}", f"{date.today()}", *_command_line(), *origin]),
+        footer=", ".join(
+            [f"kc2spice {__version__}", f"{date.today()}", *_get_command_line(), *origin]
+        ),
         plots=any(section.figures for section in sections),
     )
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _command_line() -> list[str]:
-    """Return the command line that writes the page; empty within another program."""
+def _get_command_line() -> list[str]:
+    """Return the command line of the running program as a list with one string.
+
+    The list is empty if the running program is not kc2spice.
+    """
     name, *words = sys.argv or [""]
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
 def render_page(template: str, **values: object) -> str:
-    """Render the template of a page or a drawing; markup in ``values`` is escaped."""
+    """Return the text of a page or a drawing, rendered from its template.
+
+    Markup in ``values`` is escaped.
+    """
     pages = template_renderer(autoescape=True)
     pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

@@ -1,8 +1,8 @@
 """Figure of the results that the probes of a scene read.
 
-The input is the probes, the waves of a run and the units of the waves. The output is one figure
-with a panel for each unit. A sound pressure over frequency is drawn as a level, and a sound
-pressure over time as a wave.
+The input is the probes, the waveforms of a run and their units. The output is one figure with a
+panel for each unit. A sound pressure versus frequency is drawn as a sound pressure level. A sound
+pressure versus time is drawn as a waveform.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import label_key
 from kc2spice.scene.settings import Probe
 
-WIDE_RANGE = 20.0  # ratio of the range's ends; above it, the axis is logarithmic
+# ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
+WIDE_RANGE = 20.0
 PROBES_CAPTION = "Results that the probes of the scene select, over the whole run."
 
 
@@ -28,9 +29,10 @@ def plot_probes(
     units: Mapping[str, str],
     levels: Mapping[str, SoundLevel] | None = None,
 ) -> Iterator[Figure]:
-    """Plot all probed results, with one panel for each unit, and magnitudes of responses.
+    """Plot the results that the probes of a scene read, in one panel for each unit.
 
-    ``levels`` are the sound pressure levels, keyed by the names of the probes that read them.
+    Complex responses are drawn as magnitudes. ``levels`` contains the sound pressure levels, keyed
+    by the names of the probes that read them.
     """
     scale = next(iter(waves.data))
     if not probes or waves[scale].size < 2:
@@ -54,12 +56,12 @@ def plot_probes(
 
 
 def _is_response(probe: Probe, waves: Waveforms) -> bool:
-    """Return whether a probe reads a small-signal response."""
+    """Return whether a probe reads a complex small-signal response."""
     return probe.of in waves and np.iscomplexobj(waves[probe.of])
 
 
 def _describe_level(name: str, level: SoundLevel) -> str:
-    """Return a label with the name of a probe and its sound pressure level."""
+    """Return a label that contains the name of a probe and its sound pressure level."""
     label = label_key(name, LEVEL_UNIT)
     if level.decibels is None:
         return label
@@ -69,10 +71,10 @@ def _describe_level(name: str, level: SoundLevel) -> str:
 def _plot_unit(
     unit: str, probes: Mapping[str, Probe], waves: Waveforms, sounds: Mapping[str, SoundLevel]
 ) -> Panel:
-    """Plot the probed results of one unit.
+    """Plot the probed results that have the same unit, as one panel.
 
-    Vertical marks show the positions that probes read. Horizontal lines show the levels of probes
-    that search a crossing.
+    Vertical lines mark the times or frequencies at which probes read a value. Horizontal lines mark
+    the values whose crossing a probe searches.
     """
     scale = next(iter(waves.data))
     x = waves[scale].real
@@ -104,6 +106,9 @@ def _plot_unit(
 
 
 def _convert_to_level(amplitudes: np.ndarray, reference: float) -> np.ndarray:
-    """Return the levels [dB] of amplitudes [Pa]; silence becomes a gap (NaN)."""
+    """Return the sound pressure levels [dB] of pressure amplitudes [Pa].
+
+    The level of a zero amplitude is NaN, which is a gap in the curve.
+    """
     level = compute_level(np.sqrt(0.5) * amplitudes, reference)
     return np.where(amplitudes > 0, level, np.nan)

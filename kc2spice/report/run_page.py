@@ -1,4 +1,8 @@
-"""Page ``report.html`` of a run: drawings, figures, metrics, checks and wall times."""
+"""Writer of the page ``report.html`` of a run.
+
+The page contains drawings, figures, metrics, checks and wall times. Functions whose names begin
+with ``format_`` also serve the output in the terminal.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,8 @@ from kc2spice.report.html import (
 )
 from kc2spice.scene.model import Scene, scene_hash
 
-MIN_METRICS = 4  # smallest number of metrics in a summary with rows of assumptions
-OPERATING_RESULTS = 6  # largest number of results at an operating point in a terminal
+MIN_METRICS = 4  # number of metrics that remain in a summary with rows of assumptions
+OPERATING_RESULTS = 6  # largest number of listed results at an operating point in a summary
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
     "Colours of pins: blue electrical, orange mechanical, green signals, grey others. The names of "
@@ -55,8 +59,11 @@ Rows = list[tuple[str, str]]
 def write_run(
     path: Path, result: Mapping[str, Any], scene: Scene, figures: Sequence[Figure]
 ) -> Path:
-    """Write the page of ``kc2spice run`` from the content of ``result.json``."""
-    # the sort is stable: rows with equal keys keep their order
+    """Write the page of ``kc2spice run`` to ``path``; return the path.
+
+    ``result`` is the content of ``result.json``.
+    """
+    # the main figures are first; the sort is stable, so that all other figures keep their order
     figures = sorted(figures, key=attrgetter("main"), reverse=True)
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
@@ -69,7 +76,7 @@ def write_run(
         *map(_format_energy, energies, energies.values()),
         *map(_format_modes, modes, modes.values()),
         *format_model_summary(result["plan"], result.get("convergence", {})),
-        PageSection("Simulator", _simulator_rows(result, scene)),
+        PageSection("Simulator", _make_simulator_rows(result, scene)),
         PageSection("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
@@ -77,16 +84,16 @@ def write_run(
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
-    """Return the tables of numbers in ``result.json``, for page and terminal."""
+    """Return the tables of numbers in ``result.json`` as sections, for page and terminal."""
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
-    checks = list(map(_check_row, result.get("checks", ())))
+    checks = list(map(_make_check_row, result.get("checks", ())))
     attempts = result.get("simulator", {}).get("attempts", ())
-    tried = list(map(_attempt_row, attempts)) if len(attempts) > 1 else []
+    tried = list(map(_make_attempt_row, attempts)) if len(attempts) > 1 else []
     models, units = [], result.get("model_units", {})
     for name, facts in result.get("model", {}).items():
-        models.append(PageSection(f"Model: {name}", _summary_rows(facts, units.get(name, {}))))
-    metrics = _summary_rows(result.get("metrics", {}), result.get("metric_units", {}))
+        models.append(PageSection(f"Model: {name}", _make_summary_rows(facts, units.get(name, {}))))
+    metrics = _make_summary_rows(result.get("metrics", {}), result.get("metric_units", {}))
     check_head = ("", "check", "value", "limit", "action")
     attempt_head = ("setting", "changes", "outcome", "blamed", "time")
     return [
@@ -96,7 +103,7 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
         ),
         PageSection("Physics checks", checks, check_head, CHECKS_NOTE),
         *models,
-        PageSection("Reduced model", _certificate_rows(result.get("rom", {}))),
+        PageSection("Reduced model", _make_certificate_rows(result.get("rom", {}))),
         PageSection("Retries", tried, attempt_head, RETRIES_NOTE),
         PageSection(
             "Wall time", format_times(times), ("stage", "time"), "0 s: taken from the cache."
@@ -104,15 +111,15 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
     ]
 
 
-def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a check: verdict, name, value, limit and action."""
+def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the table row of a physics check: verdict, name, value, limit and action."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
     mark = "ok" if check["passed"] else "VIOLATED"
     return mark, _label_check(check), value, limit, check["action"]
 
 
-def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a simulator attempt: settings, outcome and wall time."""
+def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the table row of an attempt of the simulator: settings, outcome and wall time."""
     return (
         attempt["setting"],
         attempt["settings"],
@@ -122,38 +129,44 @@ def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the properties of a reduction within and above its band."""
+def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
+    """Return table rows of the properties of a model reduction, within and above its band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):
             facts[name] = value
-    return [*_summary_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
+    return [*_make_summary_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """Return table rows of at most ``most`` nonzero values at the operating point."""
+    """Return table rows of at most ``most`` nonzero results at the operating point.
+
+    An additional row contains the number of omitted results.
+    """
     units, numbers = {}, {}
     for name, item in result.get("operating_point", {}).items():
         units[name], numbers[name] = item["unit"], float(item["value"])
-    scales = _largest_by_unit(numbers, units)
+    scales = _find_largest_by_unit(numbers, units)
     rows = []
     for name, number in numbers.items():
-        value = _zero_if_rounding(number, scales, units[name])
+        value = _replace_rounding_error(number, scales, units[name])
         if value:
             rows.append((name, format_quantity(value, units[name])))
     return _limit_rows(rows, most, "results")
 
 
 def _limit_rows(rows: Rows, most: int | None, kind: str) -> Rows:
-    """Return at most ``most`` rows, and a row with the number of omitted rows."""
+    """Return at most ``most`` rows, and an additional row with the number of omitted rows.
+
+    ``kind`` is the name of the rows in the additional row.
+    """
     if most is None or len(rows) <= most:
         return rows
     return [*rows[:most], (f"further {kind}", f"{len(rows) - most}, in the report")]
 
 
 def _label_check(check: Mapping[str, Any]) -> str:
-    """Return the name of a check in words."""
+    """Return the name of a check with blanks instead of underscores."""
     name: str = check["name"]
     return name if " " in name else name.replace("_", " ")
 
@@ -166,47 +179,50 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
     checks = result.get("checks", ())
     left_out = result.get("plan", {}).get("left_out", ())
     assumed = [row for row in left_out if row["summarised"]]
-    # rows of assumptions replace rows of metrics, except the first MIN_METRICS
+    # rows of assumptions replace rows of metrics, except for the first MIN_METRICS metrics
     fewer = None if most is None else max(most - len(assumed), min(most, MIN_METRICS))
     violated = [check for check in checks if not check["passed"]]
     point = format_operating_point(result, OPERATING_RESULTS)
     rows = [
         ("checks", format_verdict(checks)),
-        *map(_violation_row, violated),
-        *_limit_rows(_metric_rows(result), fewer, "metrics"),
+        *map(_make_violation_row, violated),
+        *_limit_rows(_make_metric_rows(result), fewer, "metrics"),
         *map(itemgetter("effect", "error"), assumed),
         *((f"at the operating point: {name}", text) for name, text in point),
-        *_model_rows(result),
+        *_make_model_rows(result),
     ]
     return PageSection("Result", rows)
 
 
-def _violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the table row of a violated check, with one sentence."""
+def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the summary row of a violated check, with name, value and limit in one sentence."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
-    if " " in check["unit"]:  # so that no phrase is repeated in the sentence
+    if " " in check["unit"]:  # a unit of several words occurs only once in the sentence
         limit = limit.removesuffix(f" {check['unit']}")
     return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
 
 
-def _metric_rows(result: Mapping[str, Any]) -> Rows:
-    """Return table rows of the scalar metrics, with error estimates."""
+def _make_metric_rows(result: Mapping[str, Any]) -> Rows:
+    """Return table rows of the scalar metrics, with their error estimates."""
     units = result.get("metric_units", {})
     errors = result.get("convergence", {}).get("errors", {})
     leaves = flatten_mapping(result.get("metrics", {}))
     metrics = {name: value for name, value in leaves if _is_scalar(value)}
-    scales = _largest_by_unit(metrics, units)
+    scales = _find_largest_by_unit(metrics, units)
     rows = {}
     for name, value in metrics.items():
         error = errors.get(name)
         estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
-        label, text = _summary_row(name, value, units, scales)
+        label, text = _make_summary_row(name, value, units, scales)
         rows[name] = label, text + estimate
     return _label_rows(rows, units)
 
 
 def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
-    """Return ``17 checks passed``, or a text with the number of passed checks."""
+    """Return a string with the number of passed checks.
+
+    Examples are ``17 checks passed`` and ``16 of 17 checks passed``.
+    """
     passed = sum(map(bool, map(itemgetter("passed"), checks)))
     if passed == len(checks):
         return f"{passed} check{'s' * (passed != 1)} passed"
@@ -214,12 +230,12 @@ def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _is_scalar(value: Any) -> bool:
-    """Return whether a metric is a scalar."""
+    """Return whether the value of a metric is a scalar, not a list or a mapping."""
     return not isinstance(value, (list, tuple, Mapping))
 
 
-def _model_rows(result: Mapping[str, Any]) -> Rows:
-    """Return table rows of each reduced model: states, band and error estimate."""
+def _make_model_rows(result: Mapping[str, Any]) -> Rows:
+    """Return a table row for each reduced model: number of states, band and error estimate."""
     models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
     rows = []
     for name, rom in models.items():
@@ -232,8 +248,8 @@ def _model_rows(result: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
-    """Return the largest magnitude among the numbers with each unit."""
+def _find_largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
+    """Return the largest magnitude among the values of each unit, keyed by unit."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, float) and math.isfinite(value):
@@ -242,14 +258,18 @@ def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dic
     return result
 
 
-def _zero_if_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """Return a number, or 0 if it is a rounding error relative to ``scales`` of its unit."""
+def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) -> Any:
+    """Return ``value``, or 0 if it is a rounding error.
+
+    ``scales`` contains the largest magnitude of the values of each unit, keyed by unit. A rounding
+    error is much smaller than the largest magnitude of its unit.
+    """
     noise = isinstance(value, float) and abs(value) < ROUNDING_NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
 
 
 def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the compliance errors above the band of a reduction."""
+    """Return table rows of the compliance errors at frequencies above the band of a reduction."""
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
     rows = []
@@ -264,7 +284,8 @@ def format_model_summary(
 ) -> list[PageSection]:
     """Return page sections of models, numerical settings and neglected effects.
 
-    If a refined run has computed the effect of a setting on the metrics, the effect is listed.
+    ``converged`` contains the results of refined runs. The error of a numerical setting is its
+    effect on the metrics if a refined run has computed this effect.
     """
     result = converged or {}
     shares = result.get("shares", {})
@@ -283,52 +304,62 @@ def format_model_summary(
 
 
 def _format_relative_error(error: float | None) -> str:
-    """Return a relative error as text; empty if the error is unknown."""
+    """Return a relative error as a string, or ``not estimated`` if the error is unknown."""
     return "not estimated" if error is None else f"{error:.2g}"
 
 
-def _summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Return table rows of results that are a number, a range or a short text.
+def _make_summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
+    """Return table rows of results that are a number, a range or a short list of strings.
 
-    ``units`` are keyed by dotted name. Results that are curves are omitted, because figures show
+    ``units`` is keyed by the dotted names of the results. Curves are omitted, because figures show
     them.
     """
     values = {}
     for name, value in flatten_mapping(facts):
-        if _is_scalar(value) or _is_short(value):
+        if _is_scalar(value) or _fits_one_row(value):
             values[name] = value
-    scales = _largest_by_unit(values, units)
-    rows = {name: _summary_row(name, value, units, scales) for name, value in values.items()}
+    scales = _find_largest_by_unit(values, units)
+    rows = {name: _make_summary_row(name, value, units, scales) for name, value in values.items()}
     return _label_rows(rows, units)
 
 
 def _label_rows(rows: Mapping[str, tuple[str, str]], units: Mapping[str, str]) -> Rows:
-    """Return table rows of keys, in which the quantity distinguishes equal labels."""
+    """Return table rows with unique labels.
+
+    ``rows`` contains a label and a text for each key. The physical quantity is added to labels that
+    are equal.
+    """
     labels = distinguish_labels({name: label for name, (label, _) in rows.items()}, units)
     return [(labels[name], text) for name, (_, text) in rows.items()]
 
 
-def _is_short(values: Sequence[Any]) -> bool:
-    """Return whether a list is short enough for one row."""
+def _fits_one_row(values: Sequence[Any]) -> bool:
+    """Return whether a list of values is short enough for one table row."""
     words = all(isinstance(value, str) for value in values)
     return len(values) <= (MAX_ROW_VALUES if words else 2)
 
 
-def _summary_row(
+def _make_summary_row(
     name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
 ) -> tuple[str, str]:
-    """Return the label and the text of a result; ``scales`` are magnitudes by unit."""
+    """Return the label and the formatted value of a result.
+
+    ``scales`` contains the largest magnitude of the results of each unit, keyed by unit.
+    """
     unit = units.get(name, "")
-    return format_metric(name.replace(".", "_"), _zero_if_rounding(value, scales, unit), unit)
+    return format_metric(name.replace(".", "_"), _replace_rounding_error(value, scales, unit), unit)
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
-    """Return the table of an energy balance."""
-    return PageSection(f"Energy: {name}", _summary_rows(entries, dict.fromkeys(entries, "J")))
+    """Return the page section of an energy balance, with a table of its entries."""
+    return PageSection(f"Energy: {name}", _make_summary_rows(entries, dict.fromkeys(entries, "J")))
 
 
 def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
-    """Return the table of the modes of a body, without ports that no mode drives."""
+    """Return the page section of a body's modes, with a table of frequencies and couplings.
+
+    Ports that no mode moves are omitted.
+    """
     units, modes = table["units"], table["modes"]
     coupled = []
     head = ["frequency", "Q"]
@@ -345,7 +376,7 @@ def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
     return PageSection(f"Modes: {part}", rows, head, MODES_NOTE)
 
 
-def _simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
+def _make_simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
     """Return table rows that describe the simulator, its time points and settings."""
     facts = dict(result.get("simulator", {}))
     facts.pop("attempts", None)

@@ -1,8 +1,8 @@
-"""Page ``sweep.html``: metrics of all points of a sweep.
+"""Writer of the page ``sweep.html``: metrics of all points of a sweep.
 
-The figures depend on the swept keys. For one key, the figures are curves, and for two crossed keys
-they are maps. For random keys, or for more than two keys, the figures are a histogram of each
-metric, and the values of the metric over each key.
+The figures depend on the swept keys. For one key, the figures are curves versus this key. For two
+keys whose values are all combined, they are maps. For random keys, or for more than two keys, the
+figures are a histogram of each metric, and the values of the metric versus each key.
 """
 
 from __future__ import annotations
@@ -20,37 +20,38 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
 from kc2spice.scene.model import Scene
 
-CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
+CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals of yields
 NUMBER_TYPES = (float, int, bool)  # types of the values in a column of numbers
-# Relative difference of metrics that are equal except for rounding errors of the simulator.
+# Metrics are equal up to this relative difference, which is a rounding error of the simulator.
 EQUALITY_TOLERANCE = 1e-9
-MAX_LISTED_VALUES = 10  # largest number of listed values of a text key
+MAX_LISTED_VALUES = 10  # largest number of listed values of a key whose values are strings
 
 Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # label with unit, and values
 
 
-def _belongs_to(column: Sequence[Any], *kinds: type) -> bool:
-    """Return whether all values of a column, except None, have one of these types."""
+def _has_types(column: Sequence[Any], *kinds: type) -> bool:
+    """Return whether all values in a column, except None, have the same one of the types."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
 
 
-def _read_numbers(column: Sequence[Any]) -> np.ndarray:
-    """Return a column as an array of numbers; None becomes NaN."""
+def _convert_to_numbers(column: Sequence[Any]) -> np.ndarray:
+    """Convert a column to an array of numbers; None becomes NaN."""
     return np.array(column, dtype=float)
 
 
 def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return the yield of each flag: the share of true points and a confidence interval.
+    """Compute the yield of each metric that is true or false.
 
-    A failed point counts as false. The interval is exact (Clopper and Pearson, 1934): it contains
-    the true share with at least the probability :data:`CONFIDENCE_LEVEL`. The yield is valid for
-    the population of devices only if the keys were random.
+    The yield is the share of the points at which the metric is true, with a confidence interval. At
+    a point that failed, the metric counts as false. The interval is exact (Clopper and Pearson,
+    1934): it contains the true share with at least the probability :data:`CONFIDENCE_LEVEL`. The
+    yield is valid for the population of devices only if the keys were random.
     """
     result = {}
     for name, column in table.items():
-        if name not in keys and _belongs_to(column, bool):
+        if name not in keys and _has_types(column, bool):
             count, total = sum(map(bool, column)), len(column)
             interval = binomtest(count, total).proportion_ci(CONFIDENCE_LEVEL, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
@@ -70,16 +71,16 @@ def write_sweep(
 ) -> None:
     """Write the page of a sweep from its ``table`` to ``path``.
 
-    ``units`` contains the units of the swept keys, and ``metric_units`` the units of metrics.
-    ``random`` are the random keys, ``plan`` is a text with the number of points, and ``shares`` is
-    the result of :func:`compute_yields`.
+    ``units`` contains the units of the swept keys, and ``metric_units`` the units of the metrics.
+    ``random`` are the names of the random keys. ``plan`` is a string with the number of points.
+    ``shares`` is the result of :func:`compute_yields`.
     """
     metrics = []
     spread = []
     for name, column in table.items():
-        if name not in units and _belongs_to(column, *NUMBER_TYPES):
+        if name not in units and _has_types(column, *NUMBER_TYPES):
             metrics.append(name)
-            if not _belongs_to(column, bool):
+            if not _has_types(column, bool):
                 spread.append(_make_quantile_row(name, column, metric_units.get(name, "")))
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     note = "Of all points; a point that failed counts as a miss."
@@ -96,31 +97,34 @@ def write_sweep(
 
 
 def _count_failures(status: Sequence[str]) -> list[tuple[str, str]]:
-    """Return table rows of the most frequent reasons of failures, with their numbers."""
+    """Return table rows of the most frequent reasons why points failed, with their numbers."""
     counts = Counter(status)
     del counts["ok"]
     return [(str(count), reason) for reason, count in counts.most_common(20)]
 
 
 def _make_yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
-    """Return the table row of a yield: the share of good points and its confidence interval."""
+    """Return the table row of a yield: the share of true points and its confidence interval."""
     low, high, level = 100 * share["low"], 100 * share["high"], 100 * share["confidence"]
     interval = f"{level:.3g} % confidence: {low:.4g} … {high:.4g} %"
     return label_key(name), f"{100 * share['share']:.4g} % ({interval})"
 
 
 def _make_key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the table row of a swept key: number of values, and their range or list."""
+    """Return the table row of a swept key: number of different values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
-    if _belongs_to(column, *NUMBER_TYPES):
+    if _has_types(column, *NUMBER_TYPES):
         text = " … ".join(format_quantity(end(distinct), units[key]) for end in (min, max))
     return key, f"{len(distinct)} values, {text}"
 
 
 def _make_quantile_row(name: str, column: Sequence[Any], unit: str) -> tuple[str, ...]:
-    """Return the table row of a metric: extremes, median, and 5 % and 95 % quantiles."""
-    values = _read_numbers(column)
+    """Return the table row of a metric: extremes, median, and 5 % and 95 % quantiles.
+
+    The row also contains the number of points at which the metric is finite.
+    """
+    values = _convert_to_numbers(column)
     values = values[np.isfinite(values)]
     quantiles = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0)).tolist()
     texts = (format_value(quantile, unit) for quantile in quantiles)
@@ -134,13 +138,13 @@ def plot_sweep(
     metric_units: Mapping[str, str],
     random: Sequence[str],
 ) -> Iterator[Figure]:
-    """Plot the ``metrics`` of a table over the swept keys."""
+    """Plot the ``metrics`` in the table of a sweep versus the swept keys."""
     x: dict[str, Axis] = {}
     words: dict[str, Sequence[Any]] = {}
     crossed = 1
     for key, unit in units.items():
-        if _belongs_to(table[key], *NUMBER_TYPES):
-            values = _read_numbers(table[key])
+        if _has_types(table[key], *NUMBER_TYPES):
+            values = _convert_to_numbers(table[key])
             x[key] = format_axis_label(key.replace("_", " "), unit), values
             crossed *= np.unique(values).size
         else:
@@ -151,7 +155,7 @@ def plot_sweep(
     for name in metrics:
         unit = metric_units.get(name, "")
         label = format_axis_label(label_key(name, unit).replace("_", " "), unit)
-        y[name] = label, _read_numbers(table[name])
+        y[name] = label, _convert_to_numbers(table[name])
     if not random and len(x) == 1:
         labels = [" ".join(map(str, row)) for row in zip(*words.values(), strict=True)]
         (axis_x,) = x.values()
@@ -173,7 +177,7 @@ def plot_sweep(
 
 
 def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
-    """Return one curve for each combination of the swept words."""
+    """Return a panel with one curve for each combination of the swept strings in ``words``."""
     labels = np.array(words) if words else np.full(x[1].size, "")
     curves = []
     for label in np.unique(labels):
@@ -185,13 +189,13 @@ def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
 
 
 def _is_logarithmic(x: np.ndarray) -> bool:
-    """Return whether ascending values are equally spaced on a logarithmic scale."""
+    """Return whether the increasing values ``x`` are equally spaced on a logarithmic scale."""
     even = x.size > 2 and x[0] > 0 and np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0])
     return bool(even)
 
 
 def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
-    """Return the colour map of a metric over two crossed keys."""
+    """Return a panel with the colour map of a metric ``z`` versus the keys ``x`` and ``y``."""
     columns, i = np.unique(x[1], return_inverse=True)
     rows, j = np.unique(y[1], return_inverse=True)
     field = np.full((rows.size, columns.size), np.nan)
@@ -201,7 +205,7 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
 
 
 def _plot_histogram(axis: Axis) -> Panel:
-    """Return the histogram of a metric, with its median and two quantiles."""
+    """Return a panel with the histogram of a metric, its median and two quantiles."""
     values = axis[1][np.isfinite(axis[1])]
     spread = np.ptp(values) > EQUALITY_TOLERANCE * np.abs(values).max()
     counts, edges = np.histogram(values, bins="auto" if spread else 1)

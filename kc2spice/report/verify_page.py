@@ -1,4 +1,4 @@
-"""Page ``verify.html``: checks, errors, wall times and metrics of verified scenes."""
+"""Writer of the page ``verify.html``: checks, errors, wall times and metrics of verified scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kc2spice.scene.checks import SOLUTION_PAIRS, Check
 
 VERDICT_WORDS = {True: "ok", False: "MISSED"}
 MAX_PANELS = 4  # largest number of panels in one figure
-SMALLEST_DIFFERENCE = 1e-17  # value in place of a zero difference on the logarithmic axis
+SMALLEST_DIFFERENCE = 1e-17  # value that replaces a zero difference on the logarithmic axis
 
 Solutions = Mapping[str, Waveforms]
 
@@ -27,11 +27,11 @@ Solutions = Mapping[str, Waveforms]
 class Findings:
     """Results of the verification of a scene.
 
-    ``errors`` contains the largest relative error of each pair in
-    :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the wall time of each stage,
-    and ``left_out`` the names of parts without equations. ``answers`` contains the metrics of each
-    solution: ``ngspice``, ``rom`` (equations of the parts) and ``fom`` (full models, for the
-    compared part of the run).
+    ``errors`` contains the largest relative difference between the solutions of each pair in
+    :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the wall time of each stage.
+    ``left_out`` contains the names of parts without equations. ``answers`` contains the metrics of
+    each solution: ``ngspice``, ``rom`` (equations of the parts with reduced models) and ``fom``
+    (equations of the parts with full models, for the compared part of the run).
     """
 
     checks: list[Check] = field(default_factory=list)
@@ -47,7 +47,7 @@ class Findings:
 
     @property
     def passed(self) -> bool:
-        """Whether every check passed."""
+        """Whether all checks of the scene passed."""
         return all(map(attrgetter("passed"), self.checks))
 
     def record(self) -> dict[str, Any]:
@@ -60,8 +60,11 @@ class Findings:
 
 
 def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
-    """Write the page of the verification results, keyed by scene name."""
-    rows = list(map(_summary_row, findings_by_scene, findings_by_scene.values()))
+    """Write the page of the verification results to ``path``; return the path.
+
+    ``findings_by_scene`` contains the results of each scene, keyed by its name.
+    """
+    rows = list(map(_make_summary_row, findings_by_scene, findings_by_scene.values()))
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
     for scene, findings in findings_by_scene.items():
@@ -71,15 +74,18 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
     return write_page(path, "Verification", lead, sections)
 
 
-def _summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
-    """Return the table row of a scene: verdict, and errors between the solutions."""
+def _make_summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
+    """Return the table row of a scene: verdict, and differences between the solutions."""
     errors = map(format_ratio, map(findings.errors.get, SOLUTION_PAIRS))
     return scene, VERDICT_WORDS[findings.passed], *errors
 
 
 def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the checks, errors and times of one scene, for page and terminal."""
-    checks = list(map(_check_row, record["checks"]))
+    """Return sections with the checks and wall times of one scene, for page and terminal.
+
+    ``record`` is the content of ``verify.json`` for this scene.
+    """
+    checks = list(map(_make_check_row, record["checks"]))
     times = format_times(record["wall_s"])
     return [
         PageSection(f"{scene}: gates", checks, ("", "check", "value", "limit")),
@@ -87,10 +93,13 @@ def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSecti
     ]
 
 
-def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a check, with a dash for a value that is not a number."""
+def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the table row of a check: verdict, name, value and limit.
+
+    A dash replaces a value that is not a number.
+    """
     unit = "" if check["unit"] == "1" else check["unit"]
-    value, limit = _drop_nan(check["value"]), _drop_nan(check["limit"])
+    value, limit = _convert_nan_to_none(check["value"]), _convert_nan_to_none(check["limit"])
     if value is None or limit is None:
         texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     else:
@@ -98,13 +107,13 @@ def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
     return VERDICT_WORDS[check["passed"]], check["name"], *texts
 
 
-def _drop_nan(value: float | None) -> float | None:
-    """Return None instead of NaN."""
+def _convert_nan_to_none(value: float | None) -> float | None:
+    """Return a number unchanged, or None if it is NaN."""
     return None if value is None or np.isnan(value) else value
 
 
 def _format_details(scene: str, findings: Findings) -> list[PageSection]:
-    """Return the page section of one scene: errors of outputs, metrics, notes, figures."""
+    """Return the page sections of one scene: errors of outputs, metrics, notes and figures."""
     head = ("solutions", "output", "largest error", "rms error")
     errors, facts = [], []
     for error in findings.outputs:
@@ -127,22 +136,22 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
 def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """Plot the waves of all solutions, and the differences from the first solution.
+    """Plot the waveforms of all solutions, and their differences from the first solution.
 
-    A panel shows the largest wave of each unit. A second figure shows the differences of these
-    waves.
+    In the first figure, a panel for each unit shows the largest waveform with this unit. The second
+    figure shows the differences of these waveforms from those of the first solution.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
     label, factor = scale_axis(scale, exact[scale].real)
     common = set.intersection(*map(set, solutions.values())) - {scale}
-    selected = _largest_waves(filter(common.__contains__, exact), exact, units)
+    selected = _find_largest_wave_names(filter(common.__contains__, exact), exact, units)
     if not selected or np.ptp(exact[scale]) == 0:
         return
     panels = []
     for wave in selected:
         curves = tuple(
-            Curve(n, factor * w[scale].real, _real_or_magnitude(w[wave]), "-" if k else "reference")
+            Curve(n, factor * w[scale].real, _convert_to_real(w[wave]), "-" if k else "reference")
             for k, (n, w) in enumerate(solutions.items())
         )
         panels.append(Panel(label, format_axis_label(wave, units.get(wave, "")), curves))
@@ -152,7 +161,7 @@ def plot_comparison(
     errors = []
     for n, waves in others:
         for wave in selected:
-            difference = _relative_difference(waves, exact, scale, wave)
+            difference = _compute_relative_difference(waves, exact, scale, wave)
             errors.append(Curve(f"{n}, {wave}", x, np.maximum(difference, SMALLEST_DIFFERENCE)))
     panel = Panel(label, f"difference to {first} / largest value", tuple(errors), log_y=True)
     caption = f"Differences to {first}, each over the wave's largest value."
@@ -160,7 +169,10 @@ def plot_comparison(
 
 
 def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
-    """Plot the response of each port of a body to a load on the same port."""
+    """Plot the response of each port of a body to a load on the same port.
+
+    ``curves`` contains the responses of each model, keyed by the label of the model.
+    """
     last = list(curves.values())[-1]
     pairs = list(filter(_is_driving_point, last))[:MAX_PANELS]
     end = float(last["frequency"].real[-1]) / 1e3
@@ -180,13 +192,21 @@ def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
 
 
 def _is_driving_point(response: str) -> bool:
-    """Return whether in a response ``LOAD>PORT`` both ports are the same."""
+    """Return whether load and output of a response are at the same port.
+
+    The name of the response is ``LOAD>PORT``.
+    """
     load, _, port = response.partition(">")
     return load == port
 
 
-def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
-    """Return the name of the largest wave of each unit, in the order of the units."""
+def _find_largest_wave_names(
+    names: Iterable[str], waves: Waveforms, units: Mapping[str, str]
+) -> list[str]:
+    """Return the name of the largest waveform of each unit, for at most :data:`MAX_PANELS` units.
+
+    The units have the order of their first waveforms.
+    """
     best: dict[str, str] = {}
     for name in names:
         unit = units.get(name, "")
@@ -196,13 +216,19 @@ def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, s
     return list(best.values())[:MAX_PANELS]
 
 
-def _real_or_magnitude(values: np.ndarray) -> np.ndarray:
-    """Return real values unchanged, and the magnitudes of complex values."""
+def _convert_to_real(values: np.ndarray) -> np.ndarray:
+    """Return an array of real values unchanged, or the magnitudes of complex values."""
     return np.abs(values) if np.iscomplexobj(values) else values
 
 
-def _relative_difference(waves: Waveforms, exact: Waveforms, scale: str, name: str) -> np.ndarray:
-    """Return the difference at the points of ``exact``, relative to its largest value."""
+def _compute_relative_difference(
+    waves: Waveforms, exact: Waveforms, scale: str, name: str
+) -> np.ndarray:
+    """Return the difference between the waveforms ``name`` of two solutions.
+
+    The difference is relative to the largest value of the solution ``exact``. It has a value for
+    each point of this solution.
+    """
     values, y = waves[name], exact[name]
     if values.shape != y.shape or scale == "time":
         t, unique = np.unique(waves[scale].real, return_index=True)
