@@ -86,7 +86,7 @@ def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad
 
 
 def get_area_name(port: str) -> str:
-    """Return the key in ``facts`` of a model for the area [m^2] of an acoustic port."""
+    """Return the key of an acoustic port's area [m^2] in the ``facts`` of a model."""
     return f"area_{port}_m2"
 
 
@@ -308,7 +308,7 @@ def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarr
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
     """Return the nodal displacements of a rigid translation by the vector ``axis`` (3,).
 
-    The array has the shape (d nodes,).
+    The returned array has the shape (d nodes,).
     """
     return spread_force(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
@@ -316,7 +316,7 @@ def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
 def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """Return the nodal displacements of three translations and three rotations.
 
-    The rotations are about ``centre``. The array has the shape (d nodes, 6). For a body of
+    The rotations are about ``centre``. The returned array has the shape (d nodes, 6). For a body of
     revolution, it has only one column, for the translation along the axis.
     """
     if solid.axisymmetric:
@@ -605,7 +605,7 @@ class BondedBlocks:
     def _list_edges(self) -> np.ndarray:
         """Return the ends of all blocks, electrodes, supports and ports along each axis [m].
 
-        The array has the shape (axes, edges).
+        The returned array has the shape (axes, edges).
         """
         boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
         boxes += map(itemgetter(1), self.fixed)
@@ -673,7 +673,7 @@ class BondedBlocks:
 def list_outer_faces(box: Box) -> dict[str, RadiatingFace]:
     """Return the radiating faces on the upper and the lower side of a plate.
 
-    The plate fills the ``box``. The keys are the names of the ports.
+    The plate fills the ``box``. The returned mapping is keyed by the names of the acoustic ports.
     """
     return {
         FRONT_FACE: RadiatingFace(box, upward=True),

@@ -51,8 +51,9 @@ Pair = tuple[np.ndarray, np.ndarray]
 class Corrections:
     """Corrections of modes and static responses by additional shape functions.
 
-    ``frequencies`` (k,) are the relative changes of the frequencies of k modes. ``products`` (a, a)
-    are the energy products ``e_i' S e_j`` of the corrections of a static responses.
+    ``frequencies`` contains the relative frequency change of each mode, an array of shape (k,).
+    ``products`` contains the energy product ``e_i' S e_j`` of the corrections of each pair of
+    static responses, an array of shape (a, a).
     """
 
     frequencies: np.ndarray
@@ -116,7 +117,7 @@ class BlockMatrix(NamedTuple):
 
     @property
     def T(self) -> BlockMatrix:
-        """Transpose."""
+        """Transpose of the matrix, as four blocks."""
         return BlockMatrix(self.mesh.T, self.left.T, self.right.T, self.functions.T)
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
@@ -314,7 +315,8 @@ class _CorrectionSpace:
         """Compute the eigenvalues of the k modes in the space.
 
         Return the eigenvalues of shape (k,), and the weights of the basis vectors in the
-        eigenvectors: displacements and potentials with k columns.
+        eigenvectors. The weights are a pair of arrays for displacements and potentials, with k
+        columns each.
         """
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])

@@ -80,7 +80,7 @@ class FaceMotion:
     def piston_ratios(self) -> np.ndarray:
         """Ratio of the face's mean normal velocity to its rms value for each motion.
 
-        The array has the shape (motions,). The ratio of a piston is 1.
+        The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
         return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
@@ -89,7 +89,7 @@ class FaceMotion:
     def peak_ratios(self) -> np.ndarray:
         """Ratio of the face's largest normal displacement to its mean for each motion.
 
-        The array has the shape (motions,). The ratio of a piston is 1.
+        The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
         mean = np.abs(self.volumes) / self.area
         return np.asarray(np.abs(self.normal).max(axis=0) / np.where(mean > 0, mean, np.inf))
@@ -98,7 +98,7 @@ class FaceMotion:
     def _plane(self) -> np.ndarray:
         """Coordinates of the integration points in the plane of the face, relative to its centre.
 
-        The array has the shape (2, points).
+        The returned array has the shape (2, points).
         """
         centre = self.places @ self.areas / self.area
         first = np.linalg.svd(self.axis[None])[2][1:]
@@ -122,7 +122,7 @@ class FaceMotion:
         """Return the ratio of the face's radiated power to the power of a piston for each motion.
 
         The piston has the ``radius`` [m] and the same volume velocity as the face. Face and piston
-        are in an infinite baffle. The array has the shape (motions,).
+        are in an infinite baffle. The returned array has the shape (motions,).
         """
         cosines, weights = np.polynomial.legendre.leggauss(POLAR_ANGLES)
         cosines, weights = (cosines + 1) / 2, weights / 2
@@ -137,8 +137,8 @@ class FaceMotion:
         """Return an upper bound of the mass that the near field adds to each motion.
 
         The fluid has the density 1 and fills a cylinder of the ``depth`` [m] in front of the face.
-        If a cross mode of the cylinder propagates, the bound is infinite. The array has the shape
-        (motions,).
+        If a cross mode of the cylinder propagates, the bound is infinite. The returned array has
+        the shape (motions,).
         """
         radius = np.sqrt(self.area / np.pi)
         cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
@@ -152,7 +152,7 @@ class FaceMotion:
         """Return the ratio of the far field without a baffle to the far field with a baffle.
 
         The ratio is for the sound pressure on the axis of a thin body of revolution, for small k a;
-        the formula is in the module docstring. The array has the shape (motions,).
+        the formula is in the module docstring. The returned array has the shape (motions,).
         """
         square = self.area / np.pi - self.places[0] ** 2
         potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))

@@ -40,7 +40,7 @@ class TemperatureField:
     def at(self, instant: float) -> np.ndarray:
         """Return the nodal temperature rises [K] at the sample nearest to ``instant`` [s].
 
-        The array has the shape (nodes,).
+        The returned array has the shape (nodes,).
         """
         return np.asarray(self.basis @ self.states[int(np.argmin(np.abs(self.time - instant)))])
 

@@ -144,14 +144,14 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
 
 
 def _get_resistance_name(port: Port) -> str:
-    """Return the key in ``facts`` of a port's thermal resistance."""
+    """Return the key of a port's thermal resistance in the ``facts`` of a model."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
 def compute_static_resistances(model: LinearModel) -> dict[str, float]:
     """Return the thermal resistance of each port: its temperature rise for 1 W into this port.
 
-    The keys are the names ``thermal_resistance_PORT_k_per_w``.
+    The returned mapping is keyed by the names ``thermal_resistance_PORT_k_per_w``.
     """
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
@@ -179,8 +179,8 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
 def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
     """Return the matrix ``P`` that maps the unknowns z to nodal temperatures ``T = P z``.
 
-    P has one row for each node. Its first columns are for the free nodes, and its last columns for
-    the isothermal faces.
+    The matrix has one row for each node. Its first columns are for the free nodes, and its last
+    columns for the isothermal faces.
     """
     constraint_count = np.zeros(solid.count, int)
     constraint_count[setup.fixed] = 1
@@ -206,7 +206,7 @@ def _add_film_pin(
     solid: HeatSolid,
     film: HeatFilm,
 ) -> tuple[sparse.csc_array, sparse.csc_array, np.ndarray]:
-    """Add the fluid temperature a outside a film to the model as an unknown with a pin.
+    """Add an unknown with a pin to the model: the fluid temperature ``a`` outside a film.
 
     The heat flow through the film is ``h int (T - a) dA``. Return the matrices E, K and B with the
     new unknown.

@@ -84,8 +84,8 @@ def _estimate_by_enrichment(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate errors of frequencies and static responses by cubic shape functions.
 
-    Return the relative changes of the modal frequencies, an array of shape (modes,), and the energy
-    products of the errors of each pair of the a static responses, an array of shape (a, a).
+    Return two arrays: the relative frequency change of each mode, of shape (modes,), and the energy
+    product of the errors of each pair of static responses, of shape (a, a).
     """
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products

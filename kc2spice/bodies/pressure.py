@@ -164,7 +164,7 @@ class LocalCompliance(EqualByContent):
     def shares(self) -> np.ndarray:
         """Share of a force on each basis function that gives all functions equal displacements.
 
-        The array has the shape (n,).
+        The returned array has the shape (n,).
         """
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())

@@ -95,7 +95,7 @@ def make_stack_setup(
     plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
     nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
     sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
-    require_memory(  # the factor is sparse with free potentials, otherwise banded
+    require_memory(  # the stiffness factor is sparse with free potentials, otherwise banded
         sparse_bytes if inner else min(sparse_bytes, 8.0 * 3 * nodes * 3 * plane),
         "the factorised stiffness",
         where="kick.mesh",
@@ -182,9 +182,9 @@ def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
 def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     """Return the x and y positions of the nodes of one plane.
 
-    The array has the shape (rings + 1, spokes + 1, 2). Each entry of its row 0 is the centre. Nodes
-    divide arcs and straight edges into equal parts. Beyond the last contact ring, the nodes of each
-    spoke are on a straight line.
+    The returned array has the shape (rings + 1, spokes + 1, 2). All nodes in its row 0 are at the
+    centre. Nodes divide arcs and straight edges into equal parts. Beyond the last contact ring, the
+    nodes of each spoke are on a straight line.
     """
     mesh, half = kick.mesh, kick.half
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)

@@ -26,7 +26,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
 SECTORS = 4  # number of equal quarters of the chip; the mesh contains only one quarter
-PATCH_PORT = "patch"  # name of the port under a pressure
+PATCH_PORT = "patch"  # name of the port that replaces the ring ports if a pressure is given
 PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
 
 

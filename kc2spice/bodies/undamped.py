@@ -75,8 +75,8 @@ class UndampedResponses:
     there is no such port. The columns of ``modes`` are the lowest modes that the electrical ports
     excite, with all electrical ports shorted. In a body without electrical ports, they are the
     lowest modes that its other ports excite. The columns of ``rigid`` are rigid-body modes.
-    ``facts`` maps names to characteristic numbers. The function ``solve`` multiplies a vector by
-    the inverse of the shifted stiffness ``K + shift M``.
+    ``facts`` contains characteristic values, such as capacitances, keyed by name. The function
+    ``solve`` multiplies a vector by the inverse of the shifted stiffness ``K + shift M``.
     """
 
     facts: dict[str, float]
@@ -92,9 +92,9 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 
     ``facts`` of the returned object contains:
 
-    * the capacitance of each electrical port while the other electrical ports are shorted. The key
+    * the capacitance of each electrical port while the other electrical ports are shorted. Its key
       contains the name of the port, except for the first port.
-    * the stroke per volt of the first mechanical port. The key contains the name of the port.
+    * the stroke per volt of the first mechanical port. Its key contains the name of the port.
     * the lowest resonance that the electrical ports excite while all electrodes are shorted, and
       the lowest resonance while all electrodes are open. In a model without electrical ports, all
       ports except acoustic ports excite the modes. If all ports are acoustic, the acoustic ports
@@ -171,7 +171,7 @@ def _find_resonance(
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
     none = rigid = np.empty((n, 0))
-    if not ports:  # a dielectric has no mechanical response
+    if not ports:  # no port excites the body, such as a dielectric that is not piezoelectric
         return None, none, rigid
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)

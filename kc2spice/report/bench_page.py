@@ -34,7 +34,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
     """Return the results of ``kc2spice bench`` as sections, for page and terminal.
 
-    The settings are in the order of the ``record``.
+    The ``record`` contains the settings in the order of their CPU time, the fastest setting first.
     """
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     failed = list(map(itemgetter("label", "why"), record["failed"]))

@@ -23,7 +23,7 @@ BLACK = "#222222"
 GREY = "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
-LABELS_ABOVE = 4  # largest number of labels in a legend above the axes, not beside the axes
+LABELS_ABOVE = 4  # a legend of at most this many labels is above the axes, otherwise beside them
 _LEGEND_ABOVE_AXES: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
 _LEGEND_BESIDE_AXES: Any = {
     "loc": "upper left",

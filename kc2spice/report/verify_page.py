@@ -226,8 +226,8 @@ def _compute_relative_difference(
 ) -> np.ndarray:
     """Return the difference between the waveforms ``name`` of two solutions.
 
-    The difference is relative to the largest value of the solution ``exact``. It has a value for
-    each point of this solution.
+    The difference is relative to the largest value of the solution ``exact``. The returned array
+    has a value for each point of this solution.
     """
     values, y = waves[name], exact[name]
     if values.shape != y.shape or scale == "time":

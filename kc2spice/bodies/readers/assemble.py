@@ -282,7 +282,7 @@ class Rows:
     def fixed(self) -> np.ndarray:
         """Return a mask of the matrix rows whose degrees of freedom are fixed.
 
-        They are fixed in the matrix files or in the TOML file.
+        Degrees of freedom can be fixed in the matrix files and in the TOML file.
         """
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
@@ -295,7 +295,7 @@ class Rows:
     def load(self, entry: PortEntry) -> np.ndarray:
         """Return the column of B for an input or a conservative port, or the row of C of an output.
 
-        The vector has one value for each matrix row.
+        The returned vector has one value for each matrix row.
         """
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)

@@ -54,7 +54,8 @@ SUFFIXES = (".sti", ".mas", ".dof")  # extensions of the stiffness, mass and row
 def find_matrix_files(path: Path) -> dict[str, Path]:
     """Return the Abaqus matrix files of the same job and step as ``path``.
 
-    The keys are matrix letters. Return no files if ``path`` is not the name of such a file.
+    The returned files are keyed by matrix letter. Return no files if ``path`` is not the name of
+    such a file.
     """
     match = ABAQUS_NAME.fullmatch(path.name)
     if match is None:
@@ -101,7 +102,7 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
 def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
     """Return the matrices with ``K + j H`` instead of K, if there is a matrix H.
 
-    H is the structural damping matrix. It is removed from the mapping.
+    H is the structural damping matrix. The returned mapping does not contain H.
 
     Raises
     ------
@@ -122,9 +123,9 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
     """Parse the rows, columns and values of the entries in an Abaqus matrix file.
 
-    Return whether the lines contain nodes and degrees of freedom, and the entries. If they do, rows
-    and columns are the keys of :func:`compute_row_keys`; otherwise, they are indices counted from
-    0.
+    Return whether the lines contain nodes and degrees of freedom, and the entries. If the lines
+    contain nodes, rows and columns are the keys of :func:`compute_row_keys`. Otherwise, rows and
+    columns are indices counted from 0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)

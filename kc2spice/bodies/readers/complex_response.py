@@ -259,7 +259,7 @@ def combine_response(
 def _require_one_sweep(f: np.ndarray) -> None:
     """Raise an error if the nonzero frequencies of a table are not sorted.
 
-    They may increase or decrease.
+    Sorted frequencies either increase or decrease.
 
     Raises
     ------

@@ -82,9 +82,9 @@ class ColumnKind:
     """Kind of a column: its quantity, and the pattern of its title.
 
     ``measures`` contains the keys in :data:`UNITS` of the units that the column may have; the first
-    key is the default. ``names`` is the regular expression of the title. It does not contain sign,
-    unit, blanks and words that instruments add, and all letters are lower-case. If ``needs_unit``
-    is true, a title without a unit does not identify the quantity.
+    key is the default. ``names`` is a regular expression for the title in lower case, from which
+    sign, unit, blanks and words that instruments add are removed. If ``needs_unit`` is true, a
+    title without a unit does not identify the quantity.
     """
 
     quantity: str

@@ -98,9 +98,9 @@ class MeasuredAdmittance(EqualByContent):
     @property
     def measured_noise(self) -> float:
         """Standard deviation of the noise in the measured quantity's real or imaginary part.
-        For Z and Y, the standard deviation is relative to the magnitude of each matrix entry. It is
-        estimated from the median magnitude of third differences between samples, which are almost
-        zero for a smooth response. Entries that are zero have no noise.
+        For Z and Y, the standard deviation is relative to the magnitude of each matrix entry. The
+        noise is estimated from the median magnitude of third differences between samples. Without
+        noise, these differences are almost zero. Entries that are zero have no noise.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -112,8 +112,8 @@ class MeasuredAdmittance(EqualByContent):
     def admittance_noise(self) -> np.ndarray:
         """Standard deviation of the noise in the real or imaginary part of each entry of Y.
 
-        The array [S] has the shape (n, ports, ports). The noise of Y is the first-order effect of
-        independent noise in the measured entries::
+        The returned array [S] has the shape (n, ports, ports). The noise of Y is the first-order
+        effect of independent noise in the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 
@@ -156,7 +156,8 @@ class MeasuredAdmittance(EqualByContent):
 def is_measured(path: Path) -> bool:
     """Return whether a file contains a measured response.
 
-    The file name determines this. A ``.mat`` file must also contain a frequency variable.
+    Only the name of the file is checked. In a ``.mat`` file, the names of the variables are checked
+    instead: one of them must be the frequency.
     """
     by_suffix = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix) or is_table(path)
     if path.suffix.lower() == ".mat" and is_file(path):
@@ -336,8 +337,8 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
 def _reject_active_parts(data: MeasuredAdmittance) -> None:
     """Reject a response whose conductance matrix has negative eigenvalues that exceed the noise.
 
-    The conductance matrix is the Hermitian part of Y. It may have such eigenvalues at less than a
-    tenth of the frequencies.
+    The conductance matrix is the Hermitian part of Y. Such eigenvalues are accepted if they occur
+    at less than a tenth of the frequencies.
     """
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]

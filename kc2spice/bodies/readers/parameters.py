@@ -1,7 +1,7 @@
 """Parameters of a matrix model, and factors of its matrices that depend on these parameters.
 
-Both are in the TOML file beside the matrices. A factor is an expression of the parameters in the
-syntax of netlists, such as ``(t/1.0)^3``.
+The TOML file beside the matrices contains the parameters and the factors. A factor is an expression
+of the parameters in the syntax of netlists, such as ``(t/1.0)^3``.
 """
 
 from __future__ import annotations

@@ -39,8 +39,9 @@
     within = 0.1                  # largest distance of the node from 'at' (unit length)
     dof = "uz"                    # ux uy uz rx ry rz volt temp, or 1 to 6
     axis = "z"                    # instead of 'dof': an axis, or a direction [0, 0.6, 0.8]
-    unit = "um"                   # name of the unit that 1 V on the pin of a signal port means
-    scale = 1e-6                  # this unit in units of the model (inputs and outputs only)
+    unit = "um"                   # 1 V on the pin of a signal port means 1 um
+    scale = 1e-6                  # value of this unit in units of the model, such as 1e-6 m
+                                  # (inputs and outputs only)
     pins = ["anode", "cathode"]   # names of the netlist pins
 
     [[ports]]
@@ -189,7 +190,8 @@ Unit = Annotated[
 ]
 Rayleigh = tuple[float, float]
 Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
-Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]  # H: structural damping, K + j H
+# letter of a matrix inside a file; the letter H denotes the structural damping matrix in K + j H
+Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]
 
 
 class NodeSelection(Section):

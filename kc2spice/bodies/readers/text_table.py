@@ -48,7 +48,8 @@ MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-MAX_OMITTED_SHARE = 0.05  # largest share of rows that are omitted because they contain a word
+# Rows that contain a word are omitted; a table with a larger share of such rows is rejected.
+MAX_OMITTED_SHARE = 0.05
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 

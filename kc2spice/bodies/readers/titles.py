@@ -51,8 +51,8 @@ _TRAILING_UNIT = re.compile(
 class Unit:
     """Unit of a column.
 
-    ``text`` is the spelling of the unit in the file, ``measures`` is the measured quantity, and
-    ``value`` is the unit in SI units.
+    ``text`` is the spelling of the unit in the file, and ``measures`` is the measured quantity. The
+    factor ``value`` converts numbers with this unit to SI units.
     """
 
     text: str
@@ -230,8 +230,8 @@ def is_abscissa(text: str) -> bool:
 def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
     """Return the quantity in a column of complex numbers, and the value of its unit in SI units.
 
-    For example, the title ``Z (kOhm)`` means an impedance with the unit 1000. Return None if the
-    title does not mean a complex quantity.
+    For example, the title ``Z (kOhm)`` means an impedance whose unit is 1000 Ohm. Return None if
+    the title does not mean a complex quantity.
     """
     for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT_MARKS).strip()):
         for quantity, names in COMPLEX_NAMES.items():

@@ -112,8 +112,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
 def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
     """Return symmetric matrices from the entries of one triangle of each matrix.
 
-    ``entries`` contains the triangle of each of the m matrices, row by row. The returned array has
-    the shape (m, n, n). If ``lower`` is true, it is the lower triangle.
+    ``entries`` contains the triangle of each of the m matrices, row by row: the lower triangle if
+    ``lower`` is true, otherwise the upper triangle. The returned array has the shape (m, n, n).
     """
     rows, columns = np.tril_indices(n) if lower else np.triu_indices(n)
     P = np.zeros((len(entries), n, n), dtype=complex)
