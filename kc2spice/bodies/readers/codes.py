@@ -177,7 +177,7 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
     """Parse the node and the degree of freedom of each row in a ``.dof`` file of CalculiX."""
     words = data.split()
     if not 0 < len(words) <= raw.MAX_ROWS:
-        raise ValueError(f"{len(words)} rows")
+        raise ValueError(f"the file has {len(words)} rows; the limit is {raw.MAX_ROWS}")
     # 12.3 means direction 3 of node 12; it is not a decimal number
     pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
@@ -264,7 +264,7 @@ def read_harwell_boeing(
         raise ValueError(f"the third line cannot be read: {lines[2][:40]!r}")
     kind = match[1].decode().upper()
     if kind not in ("RSA", "RUA", "RZA", "RRA", "CSA", "CUA"):
-        raise ValueError(f"type {kind}")
+        raise ValueError(f"a matrix of type {kind} is not supported")
     counts = list(map(int, lines[1].split()[:4]))
     rows, columns, entries = map(int, lines[2].split()[1:4])
     allowed((rows, columns), entries)
@@ -326,7 +326,7 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     lines = map(str.split, data.decode("ascii", "replace").splitlines())
     rows = [words for words in lines if words and words[0].isdigit()]
     if len(rows) != size or set(map(len, rows)) != {3}:
-        raise ValueError(f"{len(rows)} equations")
+        raise ValueError(f"the file contains {len(rows)} equations, or lines that are not complete")
     equations, nodes, freedoms = zip(*rows, strict=True)
     names = [_ANSYS_ROTATION_NAMES.get(name.upper(), name.lower()) for name in freedoms]
     unknown = sorted(set(names) - set(raw.DOF_NUMBERS))
@@ -442,7 +442,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
                 place = (int(grid), _parse_component(component), *column)
                 entries[name].append((*place, values[name](first, second)))
     if not forms:
-        raise ValueError("no DMIG card")
+        raise ValueError("the file contains no DMIG card")
     return forms, {
         name: raw.compute_row_keys(np.array(e).reshape(-1, 5)) for name, e in entries.items()
     }
@@ -456,7 +456,7 @@ def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, s
     number on the header card of the matrix ``name``.
     """
     if kind not in (1, 2, 3, 4):
-        raise ValueError(f"matrix {name} is of type {kind}")
+        raise ValueError(f"matrix {name} is of type {kind}, which does not exist")
     if kind < 3:
         return lambda first, _: parse_fortran_number(first)
     if polar:
@@ -500,7 +500,7 @@ def _parse_component(text: str) -> int:
     """Parse the number of a component (degree of freedom) on a DMIG card; a blank field is 0."""
     value = int(text.strip() or 0)
     if not 0 <= value <= 6:
-        raise ValueError(f"component {value}")
+        raise ValueError(f"component {value} is not a number from 0 to 6")
     return value
 
 

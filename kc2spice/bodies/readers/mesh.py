@@ -97,7 +97,7 @@ def read_nodes(path: Path) -> NodeMesh:
     def parse_nodes(data: bytes) -> NodeMesh:
         nodes, sets = read(data)
         if not nodes:
-            raise ValueError("no node in it")
+            raise ValueError("the file contains no node")
         node = np.fromiter(nodes, dtype=np.int64, count=len(nodes))
         at = np.array(list(nodes.values()), dtype=float)
         if not np.isfinite(at).all():
@@ -185,7 +185,9 @@ def _parse_bulk_data(data: bytes) -> Content:
     for cells in list_bulk_data_cards(data, "GRID"):
         number, system, *place = map(str.strip, cells[:5])
         if system not in ("", "0"):
-            raise ValueError(f"grid {number} is in coordinate system {system}")
+            raise ValueError(
+                f"grid {number} is in coordinate system {system}, not in the basic system"
+            )
         nodes[int(number)] = _parse_point(place)
     return nodes, {}
 
@@ -235,7 +237,7 @@ def _parse_table(data: bytes) -> Content:
         if len(cells) >= 4 and cells[0].strip().isdigit():
             nodes[int(cells[0])] = _parse_point(cells[1:4])
         elif nodes and line.strip():
-            raise ValueError(f"line {line[:40]!r}")
+            raise ValueError(f"line {line[:40]!r} does not contain a node and its coordinates")
     return nodes, {}
 
 

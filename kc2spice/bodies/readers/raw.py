@@ -267,7 +267,9 @@ class Dofs:
             object.__setattr__(self, name, labels.astype(np.int64))
         strange = ~np.isin(self.kind, list(DOFS))
         if self.node.shape != self.kind.shape or strange.any():
-            raise ValueError(f"degree of freedom {', '.join(map(str, self.kind[strange][:1]))}")
+            raise ValueError(
+                f"unknown degree of freedom {', '.join(map(str, self.kind[strange][:1]))}"
+            )
 
     def __len__(self) -> int:
         return len(self.node)
@@ -509,7 +511,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
     else:
         for name in plain:
             if kinds[name][1] in (*_NON_NUMERIC_CLASSES, "struct"):
-                raise ValueError(f"variable {name} is a {kinds[name][1]}")
+                raise ValueError(f"variable {name} is a {kinds[name][1]}, not a numeric matrix")
         full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
         result = _load_variables(path, plain, full)
     parts: dict[str, np.ndarray] = {}
@@ -564,7 +566,7 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
     matrix = drop_zero_imaginary(np.asarray(matrix))
     if name in _ROW_LABELS:  # all numbers in MATLAB are doubles
         if not (matrix == np.floor(matrix)).all():
-            raise ValueError(f"variable {name} contains fractions")
+            raise ValueError(f"variable {name} contains fractions instead of whole numbers")
         return matrix.astype(np.int64)
     return matrix
 

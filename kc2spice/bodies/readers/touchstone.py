@@ -69,7 +69,10 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     n = int(keys.get("number of ports", [str(ports)])[0])
     order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
     if kind in "gh" or not 1 <= n <= 64 or shape not in (["full"], ["lower"], ["upper"]):
-        raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
+        raise ValueError(
+            f"{kind.upper()} parameters of {n} ports in the matrix format {' '.join(shape)} are "
+            "not supported"
+        )
     symmetric = shape != ["full"]  # the file contains only one triangle of each matrix, row by row
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
     _require_numbers(words, text)
