@@ -50,8 +50,8 @@
     column = 1                    # number of a column of B, counted from 1
                                   # (outputs: row = 1 is the first row of C)
 
-The displacement of a mechanical port at several nodes is the mean displacement of these nodes. Its
-force is distributed evenly over the nodes. A port of kind ``acceleration`` moves the frame of the
+A mechanical port at several nodes has the mean displacement of these nodes, and the force of the
+port is distributed evenly over the nodes. A port of kind ``acceleration`` moves the frame of the
 fixed degrees of freedom and needs only the key ``axis``. A port of kind ``acoustic`` needs the key
 ``column``. The column of B contains the force on each unknown for 1 Pa at the port. The product of
 this column and the unknowns is the volume that the body displaces. An ``electrical`` port at nodes
