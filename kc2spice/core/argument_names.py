@@ -1,7 +1,8 @@
 """Names of Python arguments and of command-line options in errors.
 
-Both interfaces share the functions that raise errors. The functions of this module replace the
-names of one interface by the names of the other: ``tolerance=1e-4`` by ``--tolerance 1e-4``.
+The Python interface and the command line call the same functions, which raise the same errors. The
+functions of this module replace the names of one interface by the names of the other, for example
+``tolerance=1e-4`` by ``--tolerance 1e-4``.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from contextlib import contextmanager
 from kc2spice.core.errors import UsageError
 
 _PAIR_OPTION = "band"  # option with two values
-_LIST_OPTION = "vary"  # option that may be repeated, and whose argument is a list
-# A value contains a digit, a capital letter or an equals sign; otherwise the next word is prose.
+_LIST_OPTION = "vary"  # option that may be repeated; in Python, a list
+# The word after an option is its value if the word contains a digit, a capital letter or an equals
+# sign. Otherwise, the word belongs to the sentence.
 _WORD = r"(?:'[^']*'|(?=\S*[\dA-Z=])\S*[^\s,;:.)])"
 _OPTION = re.compile(
     rf"(?P<noun>options? )?--(?P<name>[a-z][a-z-]*)(?: (?P<value>{_WORD}(?: {_WORD})?))?"
@@ -80,7 +82,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
 
 
 def _translate(error: UsageError, translate: Callable[[str], str]) -> None:
-    """Translate message, expectation and next action of an error."""
+    """Apply ``translate`` to the message, the expected values and the hint of an error."""
     error.message = translate(error.message)
     error.expected = error.expected and translate(error.expected)
     error.hint = error.hint and translate(error.hint)
@@ -88,7 +90,7 @@ def _translate(error: UsageError, translate: Callable[[str], str]) -> None:
 
 @contextmanager
 def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
-    """Name arguments of Python instead of options of the command line in errors of the block."""
+    """Replace command-line options by Python arguments in the errors of the ``with`` block."""
     try:
         yield
     except UsageError as error:
@@ -98,7 +100,7 @@ def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
 
 @contextmanager
 def naming_options(names: Iterable[str]) -> Iterator[None]:
-    """Name options of the command line instead of arguments of Python in errors of the block."""
+    """Replace Python arguments by command-line options in the errors of the ``with`` block."""
     try:
         yield
     except UsageError as error:

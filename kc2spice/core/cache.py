@@ -1,8 +1,9 @@
 """Cache of expensive results on disk; the key of an entry is a hash of all inputs.
 
-An entry is an ``.npz`` archive of arrays, without pickle, and of one JSON text with the structure
-of the result. An entry is written under a temporary name and then renamed, so other processes read
-complete entries only. Checksums detect a damaged entry, which is then computed again.
+An entry is an ``.npz`` archive, without pickle. It contains arrays, and one JSON text with the
+structure of the result. An entry is written under a temporary name and then renamed, so other
+processes read complete entries only. Checksums detect a damaged entry, which is then computed
+again.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
 _INCOMPLETE_FILE_AGE = 3600.0  # s, age at which an incomplete file is deleted
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
-# Environment variable with the cache directory of each platform, and the default directory below #
+# Environment variable with the cache directory of each platform, and the default directory below
 # the home directory.
 _CACHE_DIRECTORIES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
 def cache_dir() -> Path:
-    """Return the directory ``$KC2SPICE_CACHE``, or the platform's directory for caches."""
+    """Return the cache directory: ``$KC2SPICE_CACHE``, or the default of the platform."""
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
     variable, below = _CACHE_DIRECTORIES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
@@ -52,8 +53,9 @@ def cache_dir() -> Path:
 def _home_directory() -> Path:
     """Return the user's home directory, or a private directory if there is none.
 
-    An unknown uid in a container has no home. A fixed name in the common temporary directory could
-    belong to another user.
+    A user without an account, as in some containers, has no home directory. The private directory
+    has a random name, because a fixed name in the shared temporary directory could belong to
+    another user.
     """
     try:
         return Path.home()
@@ -80,8 +82,8 @@ def load_or_build(
     build : function without arguments that returns the result. The result consists of dataclasses,
         arrays, tuples, dicts with string keys, numbers, strings and None, in any nesting.
     classes : dataclasses that may occur in the result; no other class is ever restored.
-    sources : modules or packages of kc2spice whose source text the result depends on; the modules
-        of ``classes`` are added.
+    sources : modules or packages of kc2spice on whose source text the result depends, in addition
+        to the modules of ``classes``.
 
     If the cache directory cannot be written, the function calls ``build()`` and prints a warning.
     If another process is building the same entry, the function waits for this process.
@@ -206,14 +208,14 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
         )
         return None
     with contextlib.suppress(OSError):  # in a read-only cache, the time cannot be set
-        os.utime(path)  # the time of the last use
+        os.utime(path)  # records the time of the last use
     return (result,)
 
 
 def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
     """Convert a value to a JSON structure, and append the arrays in the value to ``arrays``.
 
-    Types that JSON lacks become ``{tag: …}``.
+    A value that JSON cannot represent becomes ``{tag: …}`` with the name of its type as tag.
     """
     if isinstance(value, np.ndarray):
         arrays[name := f"a{len(arrays)}"] = value
@@ -230,7 +232,7 @@ def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str,
 
 
 def _decode_value(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """Restore a value from its JSON structure and the list of its arrays."""
+    """Restore a value from its JSON structure and the arrays of the cache entry."""
     if isinstance(node, list):
         return tuple(_decode_value(item, arrays, known) for item in node)
     if not isinstance(node, dict):

@@ -1,7 +1,8 @@
-"""Table of the physical domains, with the quantities on their pins and the units.
+"""Table of the physical domains, with the quantities on their pins and the units of the quantities.
 
-Ports of models, branches of declarations, pins of netlists, sources, symbols, headers and energy
-balances read :data:`TABLE`. A new domain needs one row of this table, and tests.
+All code that depends on a domain reads :data:`TABLE`: model ports, branches of declarations,
+netlist pins, sources, symbols, netlist headers and energy balances. A new domain needs one new row
+of this table, and tests.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Quantity:
 
     @property
     def per_unit(self) -> float:
-        """Volts or amperes on a pin that represent one SI unit."""
+        """Number of volts or amperes on a pin that represent one SI unit."""
         return float(f"{1 / self.factor:.15g}")
 
 
@@ -71,8 +72,8 @@ class Domain:
     output is called ``output_wave``. ``compliance`` is the unit of the static output divided by the
     input. The value across a pin is relative to the pin ``reference``; in a domain without a
     reference pin, ports are pairs of pins. ``rate`` is a second quantity across pins, the time
-    derivative of ``across``. ``frame`` is the domain whose quantity accelerates the frame of
-    reference of ``across``.
+    derivative of ``across``. ``frame`` is the domain whose across quantity is the
+    acceleration of the frame of reference in which ``across`` is measured.
 
     In a domain with a ``path_to_reference``, a net without a path to the reference has no operating
     point. ``path_to_reference`` describes possible paths in words, and ``path_part`` is a part type
@@ -105,7 +106,7 @@ class Domain:
     floating_error: str = ""
 
     def __repr__(self) -> str:
-        """Return a short text of the domain for the interpreter."""
+        """Return a one-line description of the domain for the Python prompt."""
         text = f"<Domain {self.name}: 1 V is 1 {self.across.pin_unit or 'unit'}"
         return f"{text}, 1 A is 1 {self.flow}; power: {self.power}>"
 
@@ -130,7 +131,7 @@ class Domain:
         return self.across.pin_unit, self.flow
 
     def value_unit(self, letter: str) -> str:
-        """Unit of the value of a V, I, R, C or L element; empty for the units of SPICE.
+        """Return the unit of a V, I, R, C or L element's value; empty for SPICE's own units.
 
         Examples
         --------
@@ -171,7 +172,7 @@ class Domain:
 
     @property
     def kind_of_law(self) -> str:
-        """Kind of the pins in the equations of the reference solver; ``signal`` for a frame."""
+        """Kind of the pins in the reference solver; ``signal`` for the domain acceleration."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
@@ -353,7 +354,7 @@ def domain_of(unit: str, flow: str) -> Domain | None:
 
 
 def across_of(unit: str) -> Quantity | None:
-    """Return the quantity across pins with this unit; None for a signal in another unit.
+    """Return the quantity across pins with this unit; None if no domain has this unit.
 
     Examples
     --------

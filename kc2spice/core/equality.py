@@ -2,7 +2,8 @@
 
 The ``==`` that ``dataclass`` generates compares fields with ``==``, whose result for two arrays is
 an array without a truth value. Dataclasses that represent values derive from
-:class:`EqualByContent`. All other dataclasses are compared by identity, ``@dataclass(eq=False)``.
+:class:`EqualByContent`. All other dataclasses with arrays have the option ``eq=False``, so that
+they are compared by identity.
 """
 
 from __future__ import annotations

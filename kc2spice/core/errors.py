@@ -53,11 +53,11 @@ class UsageError(Kc2spiceError):
 
 
 class UnknownNameError(UsageError, KeyError):
-    """Name that a mapping of results lacks; also a ``KeyError``."""
+    """Error for a name that a mapping of results lacks; also a ``KeyError``."""
 
 
 class NamedValues(dict[str, Any]):
-    """Results by name; the error for an unknown name lists similar names.
+    """Mapping of names to results; the error for an unknown name lists similar names.
 
     Examples
     --------
@@ -113,12 +113,15 @@ def wrong(
     expected: str | None = None,
     hint: str | None = None,
 ) -> UsageError:
-    """Make a :class:`UsageError` about a file or key; a limit in ``expected`` gives a hint."""
+    """Make a :class:`UsageError` about a file or key.
+
+    If ``hint`` is missing and ``expected`` states a limit, the hint is to satisfy this limit.
+    """
     hint = hint or advise_limit(where, expected)
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 
-# First words of an expectation that states a limit, and the action that satisfies it.
+# First words of an ``expected`` text that states a limit, and verb and preposition of the hint.
 _LIMIT_ACTIONS = {
     "at most": ("lower", "to"),
     "at least": ("raise", "to"),
@@ -146,7 +149,7 @@ def advise_limit(where: str | None, expected: str | None) -> str | None:
     return f"{action} {key} {preposition} {limit[2]}"
 
 
-# limit: a number with a unit, possibly behind the name of another quantity
+# Pattern of a limit: a number with a unit, possibly after the name of another quantity.
 _LIMIT = re.compile(
     rf"({'|'.join(_LIMIT_ACTIONS)}) (?:[^,;]*, )?(-?\d[\d.e+-]*(?: [\w/%]+)?)(?=$|[,;:])"
 )

@@ -1,4 +1,4 @@
-"""Optional libraries: import, extras that install the libraries, errors of missing ones.
+"""Import of optional libraries, with an error that states how to install a missing library.
 
 All imports of optional libraries go through :func:`import_optional`. ``pyproject.toml`` states the
 versions of these libraries.

@@ -15,13 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Curve(EqualByContent):
-    """Curve of ``x`` and ``y`` (n,) in the panel's units.
+    """Curve through points ``x``, ``y``: arrays of shape (n,) in the units of the panel's axes.
 
     A value that is not finite causes a gap in the curve.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
     up to the next point), ``bar`` (bars without gaps), ``o`` (points), ``o-`` (points and a line).
-    ``names`` (n,) are names of the points; the page shows the name of the point at the pointer.
+    ``names`` are the n names of the points. The HTML page shows the name of the point under the
+    mouse pointer.
     """
 
     label: str
@@ -36,7 +37,7 @@ class Map(EqualByContent):
     """Colour map of values ``z`` (rows, columns) over a grid of cells.
 
     The ascending coordinates ``x`` (columns,) and ``y`` (rows,) are the centres of the cells. A
-    value that is not finite is grey. ``label`` is the label of the colour bar.
+    cell whose value is not finite is grey. ``label`` is the label of the colour bar.
     """
 
     x: np.ndarray
@@ -88,7 +89,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Shape:
-    """Rectangle with vertical sides or, if ``round``, circle of a side view, in metres.
+    """Shape in a side view: an upright rectangle, or a circle if ``round``; lengths in metres.
 
     The rectangle is drawn as ``layers`` equal slices. The text ``label`` is drawn beside the shape.
     """
@@ -104,7 +105,7 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask (n,) of the times from ``first`` to ``last`` and of two neighbours."""
+    """Return a boolean mask (n,) of times from ``first`` to ``last``, and one more on each side."""
     import numpy as np  # imported here, because modules without figures import this module too
 
     low, high = np.searchsorted(t, (first, last))
@@ -116,7 +117,7 @@ def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
 def scale_time_axis(t: np.ndarray) -> tuple[str, float]:
     """Return the label of a time axis, and the factor from seconds to the unit of the axis.
 
-    The unit is ms if the longest time is at least 1 ms, otherwise µs.
+    The unit is ms if the range of the times is at least 1 ms, otherwise µs.
     """
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
 
@@ -127,10 +128,9 @@ def format_axis_label(name: str, unit: str) -> str:
 
 
 def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Return label and unit factor of the axis of a run's scale.
+    """Return the label of the x axis of a run, and the factor from SI units to the axis' unit.
 
-    The scale is ``time``, ``frequency`` or a swept key. ``x`` are its values in SI units, which the
-    factor converts to the unit of the axis.
+    ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.
     """
     if name == "time":
         return scale_time_axis(x)

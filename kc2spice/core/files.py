@@ -17,14 +17,14 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError, did_you_mean
 
-# Main output files. These files are deleted first and written last. A reader therefore never finds
-# an incomplete set of files, even if the process is killed between two renames.
+# Suffixes of the main output files, which are deleted first and written last. A reader therefore
+# never finds an incomplete set of files, even if the process is killed between two renames.
 RESULT_FILE = "result.json"
 MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"
 _OTHER_DIRECTORY_HINT = "choose another --out"
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_MAX_RECORD_BYTES = 10_000_000  # bytes of a ``result.json`` that is read again
+_MAX_RECORD_BYTES = 10_000_000  # size of the largest ``result.json`` that is read
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 
@@ -32,7 +32,7 @@ _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 def suggest_file(path: Path) -> str | None:
     """Suggest an existing file with a name similar to the name of a missing file.
 
-    Files with the same suffix have precedence. A TOML file replaces only a TOML file.
+    Files with the same suffix have precedence. A TOML file is suggested only for a TOML file.
     """
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):
@@ -68,7 +68,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
         raise _make_write_error(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise _make_write_error(typed, nearest, "no permission to write")
-    # The work directory is created next to ``out``, or inside ``out`` if ``out`` is a mount point #
+    # The work directory is created next to ``out``, or inside ``out`` if ``out`` is a mount point
     # or the only writable directory.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
@@ -133,7 +133,7 @@ def _record_hashes(work: Path, files: list[Path]) -> None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return  # without a valid result.json, no file of an earlier run is known
+        return  # an invalid result.json cannot store the hashes
     if not isinstance(record, dict):
         return
     record["sha256"] = {
@@ -151,11 +151,11 @@ def _hash_file(path: Path) -> str:
 def list_earlier_files(out: Path) -> set[str]:
     """List the files in ``out`` that are unchanged since an earlier run.
 
-    The file ``result.json`` of the earlier run contains the hashes of its files. The result does
-    not contain
+    The file ``result.json`` of the earlier run contains the hashes of its files. The list does not
+    contain
 
-    * files with another hash,
-    * names with a folder,
+    * files whose hash has changed,
+    * files in sub-directories,
     * hidden files,
     * links.
     """
@@ -201,7 +201,7 @@ def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
     """
     try:
         import fcntl
-    except ImportError:  # without locks (not POSIX), each single rename is atomic
+    except ImportError:  # not POSIX: no locks, but each rename is atomic
         yield
         return
     handle = os.open(path, os.O_RDONLY)

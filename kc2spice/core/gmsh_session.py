@@ -10,7 +10,7 @@ from types import ModuleType
 
 from kc2spice.core.errors import MissingToolError
 
-# Signals whose handlers gmsh replaces. With the handler of gmsh, a broken pipe would end the #
+# Signals whose handlers gmsh replaces. With the handler of gmsh, a broken pipe would end the
 # process silently.
 REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 

@@ -26,9 +26,9 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
 
     Ctrl-C raises KeyboardInterrupt; SIGTERM and SIGHUP raise SystemExit. If the main thread does
     not handle the signal within ``grace`` [s], the process ends immediately. The exit code is 128 +
-    number of the signal in all cases. Signal handlers that the caller has set remain.
+    number of the signal in all cases. Signal handlers that the caller has set are not replaced.
 
-    A KeyboardInterrupt that leaves the block also ends the program with this exit code. After the
+    A KeyboardInterrupt that leaves the block ends the program with the exit code 130. After the
     block, the signals are ignored. With restored handlers, a late signal could kill a program that
     has already written all results, and change its exit code.
     """
@@ -85,7 +85,7 @@ def _watch_signals(
     """End the process if the main thread has not handled a signal after ``grace`` [s]."""
     while arrived := os.read(inlet, 1):
         if arrived[0] in signals and not handled.acquire(timeout=grace):
-            # not imported here, because the import takes 7 ms
+            # used only if it is already imported, because its import takes 7 ms
             processes = sys.modules.get("multiprocessing")
             for child in processes.active_children() if processes else ():
                 child.kill()

@@ -1,4 +1,4 @@
-"""Errors about tables that do not match their schema: what is wrong, and one action."""
+"""Errors about TOML tables that do not match their schema, each with one corrective action."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ Explanation: TypeAlias = tuple[str, str | None, str | None]  # message, expected
 
 # Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
 _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
-# Directions of coordinate axes as lists.
+# Unit vectors of the coordinate axes, as TOML lists.
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-_TEXT_LINES = ("title", "include")  # a line break in them would begin a statement of the netlist
+# Keys whose text must be one line, because a line break would begin a statement of the netlist.
+_SINGLE_LINE_KEYS = ("title", "include")
 
 
 @dataclass(frozen=True)
 class _InvalidValue:
-    """Error of pydantic about a value, and the tables around this value.
+    """Validation error of pydantic about one value, with its schema and its key in the scene.
 
     ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
     ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.
@@ -55,7 +56,7 @@ class _InvalidValue:
 
     @property
     def place(self) -> KeyPath:
-        """Path within the schema, with the members of unions."""
+        """Path of the value within the schema, including the names of union members."""
         return self.details["loc"]
 
     @property
@@ -65,11 +66,11 @@ class _InvalidValue:
 
     @property
     def context(self) -> Mapping[str, Any]:
-        """Further data of the error."""
+        """Additional data of the error, such as the limits of a number."""
         return self.details.get("ctx", {})
 
     def assign(self, value: str) -> str:
-        """Return text for a hint that sets the key to ``value``."""
+        """Return the text ``KEY = VALUE`` that sets the key to ``value``, for a hint."""
         return _write_assignment(self.path, value)
 
 
@@ -80,7 +81,7 @@ def describe_invalid(
     also: Sequence[str] = (),
     table: object = None,
 ) -> tuple[KeyPath, dict[str, Any]]:
-    """Return the path of the first invalid key, and its message, got, expected and hint.
+    """Return the path of the first invalid key, and the texts of its error by name.
 
     An unknown key is reported before a missing key, because the unknown key may be a misspelling of
     the missing key. ``at`` is the path of the table, ``also`` are accepted keys in addition to the
@@ -93,7 +94,7 @@ def describe_invalid(
                and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
     typed = _find_typed_value(table, path, result["input"])
-    # the validator of a table has named the invalid key
+    # if the validator of a table found the error, the context contains the invalid key
     if key := result.get("ctx", {}).get("key"):
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
         path, typed = (*path, *below), _find_typed_value(typed, below, None)
@@ -142,9 +143,9 @@ def validate(
 def _select_union_member(
     every: Sequence[ErrorDetails], first: ErrorDetails, table: object
 ) -> ErrorDetails:
-    """Return the error of the type that is most similar to the value, if there are several types.
+    """Select the error of the union member that is most similar to the typed value.
 
-    A text is compared with choices, a list with lists and a table with tables.
+    A string is compared with choices, a list with lists and a table with tables.
     """
     place = next((k for k, step in enumerate(first["loc"]) if _is_union_member(step)), None)
     if place is None:
@@ -169,7 +170,7 @@ def _is_union_member(step: str | int) -> bool:
 
 
 def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value at ``path`` of a table as typed; otherwise the ``converted`` value."""
+    """Return the value that was typed at ``path``; ``converted`` if ``table`` lacks this path."""
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -239,7 +240,7 @@ def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
 
 
 def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
-    """Suggest the key of the table with the meaning of a key of another program."""
+    """Suggest the key that corresponds to ``word``, a name of another program."""
     keys = KEY_SYNONYMS.get(normalise_word(word), ())
     fitting = next((key for key in keys if key in fields), None)
     return fitting and f"write {fitting} in place of {word}"
@@ -290,14 +291,14 @@ def _explain_pattern(invalid: _InvalidValue) -> Explanation:
         expected, hint = "one to three of the letters x, y and z", 'for example "z"'
     elif letters := re.fullmatch(r"\^\[([A-Z]+)\]\$", pattern):
         expected, hint = f"one of {', '.join(letters[1])}", f'for example "{letters[1][0]}"'
-    if invalid.path[0] in _TEXT_LINES:
+    if invalid.path[0] in _SINGLE_LINE_KEYS:
         expected = "one line of text without control characters"
         hint = "delete line breaks and control characters from it"
     return "this text is not allowed", expected, hint
 
 
 def _explain_quantity(invalid: _InvalidValue) -> Explanation:
-    """Return the explanation of a validator of this program."""
+    """Return the explanation that a validator of kc2spice put into the error."""
     return invalid.context["reason"], invalid.context["expected"], invalid.context.get("hint")
 
 
@@ -308,7 +309,7 @@ def _explain_choice(invalid: _InvalidValue) -> Explanation:
     if (meaning := CHOICE_SYNONYMS.get(normalise_word(word))) in choices:
         hint = f'write  {key} = "{meaning}"'
     vector = _AXIS_VECTORS.get(normalise_word(word))
-    # a choice or a vector
+    # the key accepts a choice or a vector
     if vector and any(map(_is_union_member, invalid.place)) and "x" not in choices:
         vector = vector.replace("1", "-1") if word.strip().startswith("-") else vector
         hint = f"write  {key} = {vector}"
@@ -371,7 +372,7 @@ def _explain_table(invalid: _InvalidValue) -> Explanation:
 
 
 def _suggest_table(invalid: _InvalidValue, form: str) -> str:
-    """Suggest a table with the key that a value most likely states."""
+    """Suggest a table that assigns the typed value to the most likely key."""
     schema, place, path, value = invalid.schema, invalid.place, invalid.path, invalid.value
     if isinstance(value, (Mapping, list)) or len(path) <= 1:
         key = _find_choice_key(schema, place, value)
@@ -455,7 +456,10 @@ def _write_assignment(path: KeyPath, value: str) -> str:
 
 
 def _write_entry(schema: type[BaseModel], typed: object) -> str:
-    """Write an example of a table with the required keys; a text is the value of its first text."""
+    """Write an example table with the required keys of ``schema``.
+
+    A typed string becomes the value of the first key without a unit.
+    """
     entries, text = [], typed if isinstance(typed, str) else None
     for name, field in schema.model_fields.items():
         if not field.is_required():
@@ -469,7 +473,7 @@ def _write_entry(schema: type[BaseModel], typed: object) -> str:
 
 
 def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """Return the only required key of the table at ``path`` if its value is a text."""
+    """Return the only required key of the table at ``path`` if its value is a string."""
     fields = _find_schema(schema, (*path, "")).model_fields
     required = [name for name, field in fields.items() if field.is_required()]
     if len(required) == 1 and fields[required[0]].annotation is str:
@@ -478,7 +482,7 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 
 def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
-    """Return the key of the table at ``path`` one of whose choices is ``value``."""
+    """Return the key in the table at ``path`` that accepts ``value`` as a choice."""
     for name, field in _find_schema(schema, (*path, "")).model_fields.items():
         if get_origin(field.annotation) is Literal and value in get_args(field.annotation):
             return name
@@ -486,7 +490,7 @@ def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> s
 
 
 def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
-    """Return the key of the table at ``path`` that a number or quantity most likely states."""
+    """Return the key in the table at ``path`` to which ``value`` most likely belongs."""
     table = _find_schema(schema, (*path, ""))
     if isinstance(value, (int, float)) and {"quality", "ratio"} <= set(table.model_fields):
         return "quality" if value > 1 else "ratio"
@@ -503,13 +507,13 @@ def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> st
 
 
 def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
-    """Return the field of the key at ``path``; numbers of list entries are ignored."""
+    """Return the field of the key at ``path``; the indices of list entries are ignored."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
 
 
 def _show_example(field: FieldInfo) -> str:
-    """Return the example of a key as TOML text."""
+    """Return an example value of a key as TOML text."""
     return str(field.examples[0]) if field.examples else "VALUE"
 
 

@@ -6,9 +6,9 @@ a net share the *across* quantity of this domain, such as a voltage [V]. The *th
 into the parts, such as currents [A], sum to zero on each net. Pins of the kind ``signal`` have no
 through quantity, and one pin of each net sets the signal.
 
-The module :mod:`kc2spice.reference.system` adds bodies, sources and linear devices to constant
-matrices. Every law except bodies and sources is a :class:`Device`: smooth expressions that hold
-within a *mode*, and guard functions. The zero of a guard function ends the mode.
+The module :mod:`kc2spice.reference.system` assembles bodies, sources and linear devices into
+constant matrices. Every law except bodies and sources is a :class:`Device`: smooth expressions that
+hold within a *mode*, and guard functions. A mode ends when a guard function reaches zero.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ class WaveCombination:
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
     def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
-        """Return the values of the result, for small signals without the constant.
+        """Evaluate the combination; for small signals, the constant is omitted.
 
-        ``scale`` are the times [s] or frequencies [Hz] of the waves. The value is None if ``rate``
-        is true and the waves are not small signals.
+        ``scale`` are the times [s] or frequencies [Hz] of the waves. The function returns None if
+        ``rate`` is true and the waves are not small signals.
         """
         value = self.combine(waves)
         if not np.iscomplexobj(value):
@@ -101,7 +101,7 @@ class WaveCombination:
 def evaluate_combinations(
     combinations: Mapping[str, WaveCombination], waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the results whose waves are all in ``waves``.
+    """Evaluate the combinations whose waves are all in ``waves``, and return the values by name.
 
     ``scale`` are the times [s] or frequencies [Hz] of the waves.
     """
@@ -136,7 +136,7 @@ def subtract_waves(plus: str, minus: str) -> WaveCombination:
 
 @dataclass(frozen=True)
 class Equations:
-    """Laws of a part, and the pins and waves that represent the part.
+    """Laws of a part, and the correspondence of its pins and results to pins and waves of laws.
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is absent
     if another pin represents it, or if nothing acts on it. Two pins of the part may correspond to
@@ -164,7 +164,7 @@ class MissingEquations:
 class LawPort:
     """Port of a :class:`SecondOrderBody`, with one column of B and one row of C.
 
-    The inputs and outputs of the kinds of ports are
+    The input and the output of a port depend on its kind:
 
     * electrical: voltage and charge; ``ret`` names the return pin,
     * acoustic: pressure and volume,
@@ -182,12 +182,13 @@ class LawPort:
 class SecondOrderBody:
     """Body with the equations ``M x'' + E x' + K x = B u`` and ``y = C x + D u``.
 
-    The ``model`` has a dense ``pencil``: matrices of differential equations of second order, or
-    without M of first order. The unknowns x are unknowns of the complete system of equations.
+    The ``pencil`` of ``model`` contains dense matrices of second-order differential equations or,
+    without M, of first-order equations. The unknowns x are unknowns of the complete system of
+    equations.
 
     A port with an entry in ``D`` must be electrical or acoustic, or this entry must be a positive
-    compliance. A heat model has the energy ``x' E x / 2`` and the loss ``x' K x``, like an RC
-    circuit with the same numbers.
+    compliance. A heat model has the energy ``x^T E x / 2`` and the loss ``x^T K x``, like an RC
+    circuit with the same values.
     """
 
     name: str
@@ -201,7 +202,7 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of ports whose flow is a state: heat flows, forces at ports with a row of D."""
+        """Names of ports whose flow is a state: heat ports, mechanical ports with a row of D."""
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
@@ -211,14 +212,14 @@ class SecondOrderBody:
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Error scales of the states."""
+        """Magnitudes of the states to which their errors are relative."""
         return (1e-3,) * len(self.states)
 
 
 def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """Make a pin for each port, and for each return pin.
+    """Make a :class:`LawPin` for each port, and for each return pin of a port.
 
-    Pins of ports of the kinds acceleration, input and output are signals.
+    Pins of ports of the kinds ``acceleration``, ``input`` and ``output`` are signals.
     """
     result: list[LawPin] = []
     for port in ports:
@@ -234,8 +235,8 @@ class IdealSource:
     """Source that prescribes a quantity between ``out`` and ``ret``.
 
     ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
-    ``current`` out of ``out``, or ``signal``. An ``acceleration`` is on a signal pin. ``ac`` is the
-    complex amplitude of the source in an ac analysis.
+    ``current`` out of ``out``, or ``signal``. A source of ``acceleration`` has a signal pin.
+    ``ac`` is the complex amplitude of the source in an ac analysis.
     """
 
     name: str
@@ -297,15 +298,15 @@ class Flow:
 class Device(ABC):
     """Law as a function of inputs, rates and states; subclasses are frozen dataclasses.
 
-    Each device has a ``name``. The inputs ``e`` (m,) are the across inputs, then the states. A mode
-    may be any value; within a mode::
+    Each device has a ``name``. The inputs ``e``, an array of shape (m,), contain the across inputs
+    and then the states. A mode may be any value; within a mode::
 
-        out = [through of every flow, rate of every state's store, value of every signal it drives]
+        out = [through of each flow, rate of each state's store, value of each prescribed signal]
         d/dt store(e) = rate,   store(e) = the states themselves by default
 
     Flows with an index in ``charged`` also contain the rates of further entries of ``store``. A
-    mode ends when a guard is no longer positive. ``start`` [m], [m/s] are the initial values of the
-    first across input and of its rate. Without ``start``, both begin at equilibrium.
+    mode ends when a guard function is no longer positive. ``start`` [m], [m/s] are the initial
+    values of the first across input and of its rate. Without ``start``, both begin at equilibrium.
     """
 
     name: str
@@ -366,12 +367,12 @@ class Device(ABC):
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``out`` (k,) and its derivative (k, m) with respect to ``e``."""
+        """Return the outputs ``out`` (k,) and their derivatives (k, m) with respect to ``e``."""
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored quantities, and their derivatives with respect to ``e``.
 
-        Their number is ``len(states) + len(charged)``.
+        The number of stored quantities is ``len(states) + len(charged)``.
         """
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
@@ -396,10 +397,11 @@ class Device(ABC):
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the weights of the noise sources in ``out`` (k, sources) and in the store.
+        """Compute the weights of the noise sources in ``out`` and in the stored quantities.
 
-        The noise density is ``4 k T`` times the squared weight, with ``k`` Boltzmann's constant.
-        The result is None for a device without noise.
+        Each of the two arrays has one row for each output or stored quantity, and one column for
+        each noise source. The noise density is ``4 k T`` times the squared weight, with
+        Boltzmann's constant ``k``. The result is None for a device without noise.
         """
         return None
 
@@ -408,11 +410,11 @@ class Device(ABC):
         return None
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the guards (g,), which are positive within the mode."""
+        """Compute the g guard functions, which are positive within the mode."""
         return np.empty(0)
 
     def next_mode(self, mode: Any, guard: int) -> Any:
-        """Return the mode that follows ``mode`` when the guard of this number falls to zero."""
+        """Return the mode that follows ``mode`` when the guard function ``guard`` reaches zero."""
         return mode
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -452,7 +454,7 @@ GROWTH_RATE = 1e3  # 1/s, growth rate of the load on an unsupported body
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Relation ``y = H a + free`` between loads (inputs,) and outputs (outputs,).
+    """Relation ``y = H a + free`` between loads a (inputs,) and outputs y (outputs,).
 
     A relation describes a linear body in static equilibrium, at one frequency, or within one stage
     of an implicit time step. In a time step, ``free`` is the effect of the body's earlier motion.
@@ -521,8 +523,8 @@ class PortBody(Device):
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Matrices ``load``, ``stored``, ``direct`` and ``output``, in this order.
 
-        With the inputs e and the states y, the loads are ``load @ e``, the charges ``stored @ y``,
-        and the outputs ``direct @ e + output @ y``.
+        With the inputs e of the device and the outputs y of the body, the loads are ``load @ e``,
+        the charges are ``stored @ y``, and ``out`` is ``direct @ e + output @ y``.
         """
         n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribed_signals)
         rows = [port for port in self.ports if port.kind != "input"]
@@ -561,7 +563,10 @@ class PortBody(Device):
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """Return ``H(s)`` (outputs, inputs), which is computed once for all copies of a body."""
+        """Return the transfer matrix ``H(s)``, which is computed once for all copies of a body.
+
+        Its shape is (outputs, inputs).
+        """
         if s not in self.responses:
             self.responses[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.responses[s]
@@ -581,7 +586,7 @@ class PortBody(Device):
         return direct + output @ H @ load
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the charges and their derivatives."""
+        """Return the charges and their derivatives with respect to ``e``."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
@@ -646,7 +651,7 @@ class SignalBlock(Device):
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Error scales of the states."""
+        """Magnitudes of the states to which their errors are relative."""
         return (1.0,) * len(self.A)
 
     @property
@@ -655,12 +660,12 @@ class SignalBlock(Device):
         return self.outputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return outputs and rates, with their derivatives."""
+        """Return the rates ``A x + B u`` and the outputs ``y``, with their derivatives."""
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``E x`` and its derivative."""
+        """Return ``E x`` and its derivative with respect to ``e``."""
         slope = np.hstack([0.0 * self.B, self.E])
         return slope @ e, slope
 

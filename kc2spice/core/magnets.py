@@ -22,7 +22,8 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 class PiecewisePolynomial(EqualByContent):
     """Piecewise polynomial ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cell j.
 
-    ``knots`` (n,) ascend. ``c`` (degree + 1, n - 1, m) are the coefficients of m functions. The
+    The n ``knots`` ascend. The coefficients ``c`` of m functions are an array of shape
+    (degree + 1, n - 1, m). The
     first and the last polynomial extend beyond the first and the last knot.
     """
 
@@ -30,7 +31,7 @@ class PiecewisePolynomial(EqualByContent):
     c: np.ndarray
 
     def __call__(self, x: np.ndarray | float) -> np.ndarray:
-        """Return the values (..., m) at ``x`` (...)."""
+        """Return the values of the m functions at ``x``, on an additional last axis."""
         x = np.asarray(x, dtype=float)
         cell = np.searchsorted(self.knots[1:-1], x, side="right")
         step = (x - self.knots[cell])[..., None]
@@ -48,7 +49,7 @@ class PiecewisePolynomial(EqualByContent):
         return PiecewisePolynomial(self.knots, np.concatenate([start[None], rising]))
 
     def derivative(self) -> PiecewisePolynomial:
-        """Return the derivative; at a knot where it jumps, the value of the upper cell."""
+        """Return the derivative; at a knot where it jumps, the upper cell determines its value."""
         return PiecewisePolynomial(
             self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None]
         )
@@ -114,7 +115,7 @@ FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
 def current_products(i1: Any, i2: Any) -> np.ndarray:
-    """Return the products of powers of both currents (..., 6)."""
+    """Return the six products of powers of both currents, on an additional last axis."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
     return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
 
@@ -136,7 +137,7 @@ class Coenergy:
         return self.terms, first, first.derivative()
 
     def require_height(self, y: Any, where: str) -> np.ndarray:
-        """Return the height ``y``; raise an error outside of the table's range.
+        """Return the height ``y``; raise an error if it is outside of the table's range.
 
         Raises
         ------
@@ -160,7 +161,7 @@ class Coenergy:
         return np.asarray((slopes * current_products(i1, i2)).sum(axis=-1))
 
     def inductances(self, y: Any) -> np.ndarray:
-        """Return the symmetric inductance matrix (..., 2, 2) [H]."""
+        """Return the symmetric inductance matrix [H] at the height ``y``; shape (..., 2, 2)."""
         return _current_hessian(self.terms(self.require_height(y, "catch")))
 
 
@@ -177,7 +178,7 @@ class EMTable(EqualByContent):
 
     The dependence on the currents is exact, because the materials are linear.
 
-    With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::
+    With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at the height ``y``::
 
         F(y, i1, i2) = c0 + c1 i1 + c2 i2 + c11 i1^2 + c12 i1 i2 + c22 i2^2
         lambda_k(y, i1, i2) = flux0[:, k] + sum_l inductance[:, k, l] i_l
@@ -190,7 +191,8 @@ class EMTable(EqualByContent):
     def scale_magnets(self, remanence: float, shift: float) -> EMTable:
         """Return the table for magnets with a different remanence and height.
 
-        The remanence is multiplied by ``remanence``, and the magnets are ``shift`` [m] higher. In
+        The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
+        higher. In
         linear materials the force between the magnets is proportional to the square of the
         remanence. Terms with one current are proportional to the remanence. Terms with products of
         two currents do not depend on the remanence.
@@ -216,7 +218,7 @@ class EMTable(EqualByContent):
 
     @cached_property
     def splines(self) -> PiecewisePolynomial:
-        """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
+        """Not-a-knot cubic splines of the six force coefficients over the height.
 
         Between 41 nodes, the splines are as accurate as the finite elements. Splines with other end
         conditions, and monotone interpolants, are less accurate.
@@ -281,6 +283,6 @@ class EMTable(EqualByContent):
 def compute_test_forces(table: EMTable, currents: np.ndarray) -> np.ndarray:
     """Compute the forces (m, n) [N] at the n heights for m pairs of ``currents`` (m, 2).
 
-    The curves are comparable with Fig. 6 of the paper on the kick actuator.
+    The curves are comparable with Fig. 6 of Schütz et al. (2021).
     """
     return np.array([current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

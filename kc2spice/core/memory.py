@@ -28,11 +28,11 @@ def available_bytes(root: Path = Path("/")) -> float:
         *_free_memory_of_control_groups(root),
         *_free_memory_below_limits(root),
     ]
-    return max(min(known), 0.0) if known else _free_page_bytes()
+    return max(min(known), 0.0) if known else _physical_bytes()
 
 
-def _free_page_bytes() -> float:
-    """Return the size of the free memory pages [B]."""
+def _physical_bytes() -> float:
+    """Return the physical memory of the machine [B]."""
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 

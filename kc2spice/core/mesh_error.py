@@ -1,8 +1,8 @@
 """Names and descriptions of the estimated mesh errors of a model.
 
 For example, ``mesh_error_resonance`` is the estimated relative error of the first resonance. Parts
-that solve a field on a mesh or on rings compute these values. Results, headers and ``explain``
-contain them.
+that solve a field on a mesh or on rings compute these error estimates. Results, netlist headers and
+the command ``explain`` print them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 # number of unknowns of a plane mesh that need the computing time of one unknown of a solid mesh
 PLANE_UNKNOWN_RATIO = 4.0
-MESH_ERROR_PREFIX = "mesh_error_"  # prefix of values that are relative errors of other values
+MESH_ERROR_PREFIX = "mesh_error_"  # prefix of the names of relative mesh errors
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
@@ -55,7 +55,7 @@ def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float
 
 
 def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
-    """Select the mesh errors among the values of a model, as :func:`list_mesh_errors` reads."""
+    """Select the mesh errors among the values of a model, for :func:`list_mesh_errors`."""
     names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
 
@@ -72,7 +72,7 @@ def describe_mesh_errors(facts: Mapping[str, float]) -> str:
 
     Parameters
     ----------
-    facts : numbers of a model by name.
+    facts : values of a model by name, including its mesh errors.
 
     Returns
     -------

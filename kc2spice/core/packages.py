@@ -1,8 +1,8 @@
 """Commands that install programs on the operating system of this machine.
 
-The argument of :func:`install_command` are names of Debian packages. The result is a shell command,
-or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS and
-Windows are not tested.
+The arguments of :func:`install_command` are names of Debian packages. The result is a shell
+command, or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS
+and Windows are not tested.
 """
 
 from __future__ import annotations

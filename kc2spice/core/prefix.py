@@ -1,4 +1,4 @@
-"""Text of numbers with SI prefixes or in percent, and 0 in place of rounding errors."""
+"""Formatting of numbers with SI prefixes or in percent, with 0 in place of rounding errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
 _VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
 _POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
-MIN_SHARE_OF_UNIT = 0.1  # of a unit of area or volume; for smaller values, a smaller unit is used
+# Smallest number that is printed in a unit of area or volume; otherwise a smaller unit is used.
+MIN_SHARE_OF_UNIT = 0.1
 LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
 _RATIO_WORDS = "of ", "relative"  # first words of units of ratios
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number

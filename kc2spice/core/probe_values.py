@@ -1,7 +1,7 @@
 """Values that probes compute from a wave: extremes, means, crossings and sound levels.
 
 :func:`compute_probe_value` computes one number from the arrays of a wave and of its scale, such as
-times. Of a complex response over frequency, the magnitude is used.
+times. For a complex response over frequency, the magnitude is used.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
 from kc2spice.core.waveforms import interpolate
 
-# Largest relative correction of a maximum between two points, which is 3 % if the points are half a
-# half-width away from the resonance.
+# Largest ratio, minus one, of an interpolated maximum to the largest computed point. The correction
+# is 3 % if the points are half a half-width away from the resonance.
 MAX_CORRECTION = 0.05
 SCALE_ROUNDING = 1e-9  # relative rounding error of the first and last point in the simulator
 
@@ -43,12 +43,12 @@ def compute_probe_value(
     values : ndarray
         Wave (n,) in SI units, complex for a response.
     where : str
-        Key of the probe in a scene, which errors name.
+        Key of the probe in a scene, for error messages.
     at : float, optional
         Position on the scale (time, frequency or swept value) at which the wave is read. By default
         all points are used.
     level : float, default 0
-        Level of a crossing.
+        Level of a crossing, in the SI unit of the wave.
     window : tuple of float, optional
         First and last position on the scale. Only the points between them are used.
     reference : float, default 20 uPa
@@ -57,7 +57,7 @@ def compute_probe_value(
     Returns
     -------
     float or None
-        Value in SI units, or in dB; None if there is no crossing or cycle.
+        Value in SI units, or in dB; None if the wave has no crossing or no complete cycle.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _compute_rms(
     at: float | None,
     window: tuple[float, float] | None,
 ) -> float:
-    """Return the rms value of a wave; of a response, at one frequency or at its maximum."""
+    """Return the rms value of a wave, or of a response at one frequency or at its maximum."""
     response = np.iscomplexobj(values)
     take = "max" if response else "rms"
     size = compute_probe_value(take, scale, values, where, at=at, window=window) or 0.0
@@ -117,7 +117,7 @@ def _clip_to_window(
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the value of a probe over all points of a wave."""
+    """Compute the value ``take`` of a probe from all points of a wave."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
@@ -137,8 +137,8 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
     The largest point is returned without interpolation if it is the first or last point. The same
-    holds if the maximum of the parabola exceeds it by more than :data:`MAX_CORRECTION`, because the
-    points are then too far apart.
+    holds if the interpolated maximum exceeds the largest point by more than :data:`MAX_CORRECTION`,
+    because the points are then too far apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))

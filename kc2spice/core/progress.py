@@ -5,7 +5,8 @@ and remaining time of the stage at the level DEBUG. Without a log handler of the
 printed.
 
 :class:`StepTimer` and :class:`ConvergenceTimer` estimate the remaining time of a computation, and
-call :func:`report_remaining`. The estimate counts for the stage that contains the computation.
+call :func:`report_remaining`. The estimate is reported for the stage that contains the
+computation.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class StepTimer:
         self._start = time.perf_counter()
 
     def begin_step(self, number: int, steps: Sequence[tuple[str, float]]) -> None:
-        """Report the remaining time at the start of the step with this number, from 0 on.
+        """Report the remaining time at the start of the step with the index ``number``.
 
         ``steps`` contains the name and the relative duration of each step.
         """
@@ -96,7 +97,7 @@ class ConvergenceTimer:
     confirmations : int
         Number of consecutive steps whose error must be within the target.
     usual : int
-        Expected number of steps, as long as the decline of the errors is unknown.
+        Number of steps that is assumed while the rate of convergence is unknown.
     step : str
         Name of a step.
     """
@@ -114,7 +115,7 @@ class ConvergenceTimer:
         report_remaining(remaining * per_step, f"{self._name} {count} of about {count + remaining}")
 
     def remaining_steps(self) -> int:
-        """Return the number of steps that the decline of the latest errors predicts.
+        """Return the number of remaining steps, extrapolated from the latest errors.
 
         Only the second half of the errors is used, because the convergence of many iterations
         accelerates.
@@ -132,7 +133,7 @@ class ConvergenceTimer:
 
 @dataclass
 class Clock:
-    """Wall time [s] of each stage; 0 for a skipped stage, or if the cache had its result."""
+    """Wall time [s] of each stage; 0 for a stage that was skipped or read from the cache."""
 
     progress: Progress = ignore_progress
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))

@@ -2,7 +2,7 @@
 
 Errors contain the name of the key in the user's spelling.
 
-The text ``"0.5 mm"`` becomes the number ``5e-4``. All factors of units are powers of ten, so the
+The string ``"0.5 mm"`` becomes the number ``5e-4``. All factors of units are powers of ten, so the
 program only shifts the decimal exponent. The number is rounded once, when it becomes a float:
 ``"50 um"`` equals ``50e-6`` exactly.
 """
@@ -93,7 +93,7 @@ def _parse_number_with_unit(si: str, value: object) -> float:
 
 
 def _require_ring_radii(value: object) -> object:
-    """Raise an error if the radii of the contact rings are not valid."""
+    """Return ``value`` if it is a valid choice of contact rings; otherwise raise an error."""
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
     raise invalid_value_error(
@@ -104,13 +104,13 @@ def _require_ring_radii(value: object) -> object:
 
 
 class ScalePlace(float):
-    """Position on the scale of an analysis; ``unit`` is empty for a text without a unit."""
+    """Position on the scale of an analysis; ``unit`` is empty for a number without a unit."""
 
     unit: str = ""
 
 
-# Units of the range of an analysis: time, frequency, and all quantities that a source can prescribe
-# in a dc sweep.
+# Units of positions on the scale of an analysis: time, frequency, and all quantities that a source
+# can prescribe in a dc sweep.
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
@@ -149,7 +149,7 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the type of a key with a number in ``unit``.
+    """Return the validator of a key whose value is a number in ``unit``.
 
     Raises
     ------
@@ -169,7 +169,8 @@ def si(unit: str) -> BeforeValidator:
 class Plausible:
     """Range of plausible values of a key, as metadata of its type.
 
-    Plausible values are between ``low`` and ``high`` in ``unit``, and ``why`` states the reason.
+    Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for these
+    limits.
     Zero is accepted, for example for a tip without mass.
     """
 
@@ -224,7 +225,7 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 
 @dataclass(frozen=True)
 class RefinementRule:
-    """Rule that refines a key which trades computing time for accuracy.
+    """Refinement rule of a numerical setting that trades computing time for accuracy.
 
     One refinement step multiplies the value of the key by ``factor``. If ``spaces`` is true, the
     key is a number of points, and the number of intervals between the points is multiplied. Below
@@ -256,4 +257,4 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
     help_command: ClassVar[str] = "kc2spice scenes --keys"  # lists all keys
-    unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # by name of key
+    unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # keyed by name of key

@@ -1,4 +1,4 @@
-"""Keys of the schemas of tables: their paths, units and ranges of plausible values."""
+"""Keys in the schema of a table: their paths, units and ranges of plausible values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KeyPath = tuple[str | int, ...]
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """Yield all keys of a schema in order; the keys of a subtable follow its name."""
+    """Yield path and field of each key of a schema, including the keys of its subtables."""
     for name, field in schema.model_fields.items():
         section, path = find_section(field.annotation), (field.alias or name,)
         if section is None:
@@ -37,7 +37,7 @@ def find_section(annotation: Any) -> type[BaseModel] | None:
 
 
 def _field_metadata(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata of a field and of the elements of a list."""
+    """Yield the metadata of a field and, for a list, of the type of its elements."""
     yield from field.metadata
     for argument in get_args(field.annotation):
         yield from get_args(argument)[1:]

@@ -12,7 +12,7 @@ ENERGY_SHARE = 0.999  # share of a signal's energy below the computed frequency
 SIGNAL_SAMPLES = (
     2**16
 )  # number of samples of a signal, 5 for each pulse of a train of 13 000 pulses
-FIRST_CORNERS = 400  # number of first corners of a long train that are also sampled separately
+FIRST_CORNERS = 400  # corners at the start of a long train that are also sampled separately
 # Time after the end of a signal for which the output of a low-pass filter is sampled, in time
 # constants of the filter.
 DECAY_TIME_CONSTANTS = 20.0

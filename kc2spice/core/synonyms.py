@@ -1,9 +1,9 @@
-"""Names of other programs, and the names of this program with the same meaning, for errors.
+"""Names that other programs use, and the corresponding names of kc2spice, for hints in errors.
 
-All names of other programs are in lower case, without blanks and signs.
+All names of other programs are in lower case, without blanks and punctuation.
 """
 
-# Part types of this program, keyed by names of other programs without blanks and signs.
+# Part types of this program, keyed by the names of devices in other programs.
 PART_TYPE_SYNONYMS = {
     "r": "resistor", "res": "resistor", "c": "capacitor", "cap": "capacitor", "l": "inductor",
     "ind": "inductor", "coil": "inductor", "v": "source", "i": "source", "vsource": "source",
@@ -14,7 +14,7 @@ PART_TYPE_SYNONYMS = {
     "mesh": "body", "fem": "body", "solid": "body", "pipe": "tube", "volume": "cavity",
 }  # fmt: skip
 
-# Words of other programs for choices of a key, without blanks and signs.
+# Choices of a key, keyed by the words of other programs for these choices.
 CHOICE_SYNONYMS = {
     "average": "mean",
     "avg": "mean",

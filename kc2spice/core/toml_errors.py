@@ -112,7 +112,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
 
 
 _NETLIST_CARD = re.compile(r"(?im)^\.(tran|ac|dc|op|end|ends|subckt|model|include|lib)\b")
-# Endings of files of other formats, their names, and the action.
+# File extensions of other formats, with the name of the format and the advised action.
 _OTHER_FORMATS = {
     ".json": ("JSON", "write each object as a table [NAME], and each entry as  KEY = VALUE"),
     ".yaml": ("YAML", "write each block as a table [NAME], and each entry as  KEY = VALUE"),
@@ -147,7 +147,7 @@ def _parse_header(line: str) -> tuple[str, str]:
 
 
 def _quote_line(lines: Sequence[str], number: int) -> str:
-    """Return a line of the file with its number, for an error message."""
+    """Return the text of line ``number`` for an error message, cut after 120 characters."""
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
@@ -226,7 +226,7 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_unmatched_quote(line: str) -> str:
-    """Return the only kind of quote that is unpaired; empty if none or both are."""
+    """Return the only unpaired quotation mark of a line; empty if both or neither are unpaired."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
@@ -360,7 +360,7 @@ _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
 
 
 def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Return the error of a key without a value, or of tables in braces in place of brackets."""
+    """Return the error of a key without a value, or of a list of tables in braces."""
     for place in (number, number - 1):
         start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
         if start is None:

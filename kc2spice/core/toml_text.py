@@ -32,7 +32,7 @@ def display_text(value: Any) -> str:
 
 
 def quote_value(value: Any) -> str:
-    """Format tables and lists as in a scene file, and other values by ``repr``, to quote them."""
+    """Format a value for an error: tables and lists as in a scene file, others by ``repr``."""
     if isinstance(value, Mapping):
         return (
             "{ " + ", ".join(f"{key} = {quote_value(item)}" for key, item in value.items()) + " }"

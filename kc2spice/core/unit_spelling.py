@@ -84,7 +84,7 @@ def suggest_spelling(value: object, si: str) -> str | None:
 
 
 def _show_form(si: str) -> str:
-    """Return the form of a quantity in the unit ``si``."""
+    """Return a hint that shows the form of a quantity in the unit ``si``."""
     return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
 
 
@@ -116,7 +116,7 @@ def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a decimal point for a prefix in its place, as on drawings of circuits: ``4k7``."""
+    """Suggest a decimal point for a quantity such as ``4k7``, with the prefix in its place."""
     split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
     if split is None:
         return None
@@ -134,7 +134,7 @@ def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the area or the volume of a length: ``3 mm`` for an area."""
+    """Suggest the missing exponent of an area or a volume, such as ``mm2`` for ``mm``."""
     power, length = re.fullmatch(r"(m)([23])", si), parse_unit(typed.unit)
     if power and length and length == parse_unit(f"{typed.unit[:-1]}m"):
         return f'write  "{typed.number} {typed.unit}{power[2]}"'
@@ -142,7 +142,7 @@ def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _convert_foreign_unit(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the value in SI of a unit outside of the SI."""
+    """Suggest the value in SI units of a quantity in another unit, such as inches."""
     factor, unit = _FOREIGN_UNITS.get(typed.unit, (0.0, ""))
     if not factor or unit != si:
         return None

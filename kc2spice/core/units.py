@@ -1,4 +1,4 @@
-"""Units of quantities: prefixes, exponents of base units, and conversion of texts to SI units.
+"""Units of quantities: prefixes, exponents of base units, and conversion of strings to SI units.
 
 All factors of units are powers of ten, so a conversion only shifts the decimal exponent.
 """
@@ -68,7 +68,7 @@ def parse_unit(text: str) -> tuple[int, ...] | None:
 
 
 def parse_quantity(text: str, si: str) -> float:
-    """Convert a text with a number and a unit to ``si``; errors are ValueErrors."""
+    """Convert a string with a number and a unit to the unit ``si``, or raise ValueError."""
     match = NUMBER_WITH_UNIT.fullmatch(text) if len(text) <= MAX_QUANTITY_LENGTH else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")

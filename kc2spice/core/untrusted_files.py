@@ -41,7 +41,7 @@ from kc2spice.core.errors import Kc2spiceError, UsageError
 # line breaks.
 _PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
-_MAX_ITEM_BYTES = 1_000_000  # bytes of one array element (number or text)
+_MAX_ITEM_BYTES = 1_000_000  # largest size of one array element (number or text)
 # Bytes. A scene is about one page of text; a much larger file is a mistake or an attack.
 MAX_TEXT_BYTES = 1_000_000
 MAX_NESTING = 32  # depth of nested tables and arrays
@@ -382,7 +382,7 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         record = (type(error).__name__, attributes)
         Path(ERROR_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
-    os._exit(0)  # without the destructors of libraries
+    os._exit(0)  # without calling the destructors of libraries
 
 
 def _end_with_parent() -> None:

@@ -22,14 +22,14 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-# Largest number of pulses of a finite train. Its corners are as many as the rows of the largest
-# waveform file.
+# Largest number of pulses of a finite train. Such a train has as many corners as the largest
+# waveform file has rows.
 MAX_PULSES = 25_000
 
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """Arrays of results over one scale, in SI units, with the names in ``waveforms.npz``.
+    """Arrays of results with a common scale, in SI units, keyed by names as in waveforms.npz.
 
     The scale is ``time``, ``frequency`` or the swept value.
 
@@ -42,7 +42,7 @@ class Waveforms(EqualByContent):
 
     @property
     def scale(self) -> np.ndarray:
-        """Scale of the waves: time, frequency or the swept value."""
+        """Common scale of the arrays: times, frequencies or swept values."""
         return next(iter(self.data.values()))
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -58,7 +58,7 @@ class Waveforms(EqualByContent):
         return iter(self.data)
 
 
-SCALES = {"time": "s", "frequency": "Hz"}  # units
+SCALES = {"time": "s", "frequency": "Hz"}  # SI units of the scales
 
 
 def quote_csv_cell(text: str) -> str:
@@ -102,7 +102,7 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
 
 
 def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the running trapezoidal integral (..., n) of ``values`` over ``over``.
+    """Compute the cumulative trapezoidal integral of ``values`` (..., n) over ``over`` (n,).
 
     The integral is zero at the first point.
     """
@@ -114,8 +114,9 @@ def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the derivative (n,) of ``values`` (n,) with respect to ``over`` (n,).
 
-    The result is the derivative of the parabola through three neighbouring points. Its error is
-    proportional to the square of their distance. Values of ``over`` may be repeated.
+    The result is the derivative of the parabola through three neighbouring points. The error of the
+    derivative is proportional to the square of the distance between the points. Values of ``over``
+    may be repeated.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -125,13 +126,14 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` (n,) over a monotonic ``scale`` (n,) linearly at ``at``."""
+    """Interpolate ``values`` (n,) linearly at positions ``at`` on a monotonic ``scale`` (n,)."""
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
 
 
 FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its rise time
-# s, longer than any run. Newer versions of ngspice repeat a pulse that has no period.
+# Period [s] of a single pulse, longer than any run. Newer versions of ngspice repeat a pulse that
+# has no period.
 ENDLESS_PERIOD = 1e4
 
 
@@ -170,8 +172,8 @@ class Waveform:
 
     A waveform with a ``frequency`` is a sine. Otherwise ``points`` (n, 2) are times [s] and values,
     and the waveform is constant before the first point and after the last point. If ``period`` [s]
-    is given, the waveform from the first point on is repeated. A netlist contains a ``PULSE`` if
-    possible.
+    is given, the waveform from the first point on is repeated. In a netlist, the waveform is
+    written as a ``PULSE`` if possible.
 
     Raises UsageError unless the times increase strictly: an edge must have a duration.
     """
@@ -200,7 +202,7 @@ class Waveform:
 
     @property
     def step_limit(self) -> float:
-        """Largest time step [s] within which a guard cannot have two unnoticed zeros."""
+        """Largest time step [s] within which a guard function cannot have two unnoticed zeros."""
         return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
     @cached_property
@@ -216,28 +218,29 @@ class Waveform:
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
     def _fold_time(self, t: Any) -> np.ndarray:
-        """Return the instants of the first period with the same values as ``t``."""
+        """Return the times within the first period that correspond to the times ``t``."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
             return t
         return np.where(t > first, first + np.mod(t - first, self.period), t)
 
     def __call__(self, t: Any) -> Any:
-        """Return the values at ``t`` [s]."""
+        """Return the values of the waveform at the times ``t`` [s]."""
         if self.is_piecewise_linear:
             return np.interp(self._fold_time(t), *self._corner_points)
         return self._evaluate_sine(t, t, 0)
 
     def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
-        """Return the derivative of this ``order`` of the sine; order 0 is the sine."""
+        """Return the time derivative of order ``order`` of the sine; order 0 is the sine itself."""
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Compute the time derivative of this ``order`` at ``t``.
+        """Compute the time derivative of order ``order`` at the times ``t``.
 
-        At a corner, the derivative jumps: the instants ``within`` select the smooth piece.
+        At a corner, the derivative jumps. The times ``within`` select the smooth piece on one side
+        of the corner.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)
@@ -245,7 +248,7 @@ class Waveform:
         return self._slopes_between_corners[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
-        """List times [s] and values of all points in all periods.
+        """Return times [s] and values of all points in all periods.
 
         The result contains all periods that begin before ``stop``.
         """
@@ -257,12 +260,12 @@ class Waveform:
         return times, values
 
     def corners(self, stop: float) -> np.ndarray:
-        """List times [s] up to ``stop`` at which the derivative jumps."""
+        """Return the times [s] up to ``stop`` at which the time derivative jumps."""
         result = self.knots(stop)[0] if self.is_piecewise_linear else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def format_spice(self, scale: float = 1.0) -> str:
-        """Format the waveform times ``scale`` as the value of a source in SPICE syntax.
+        """Format the waveform, multiplied by ``scale``, as a source value in SPICE syntax.
 
         A pulse whose flat top has no duration is written as corners, because ngspice continues a
         ``PULSE`` of zero width until the end.
@@ -302,7 +305,7 @@ class Waveform:
 
 
 def constant_waveform(value: float) -> Waveform:
-    """Make a constant waveform."""
+    """Make a waveform with a constant value."""
     return Waveform(((0.0, value),))
 
 
@@ -362,7 +365,7 @@ class RecordedWave(EqualByContent):
     Between two samples, the curve is a cubic polynomial (Akima, J. ACM 17, 589, 1970).
 
     Every 16th sample is a corner, so no step of an integrator is longer than 16 samples. Without
-    this limit, an integrator could miss an event after a long rest.
+    this limit, an integrator could miss an event after a long interval without changes.
     """
 
     times: np.ndarray
@@ -379,15 +382,15 @@ class RecordedWave(EqualByContent):
         return Akima1DInterpolator(self.times, self.values)
 
     def __call__(self, t: Any) -> Any:
-        """Return the values at ``t`` [s]."""
+        """Return the values of the waveform at the times ``t`` [s]."""
         return self.rate(t, t, 0)
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Return the derivative of this ``order`` at ``t``."""
+        """Return the time derivative of order ``order`` at the times ``t``."""
         return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
 
     def corners(self, stop: float) -> np.ndarray:
-        """List the corners [s] up to the time ``stop``."""
+        """Return the times [s] of the corners up to the time ``stop``."""
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
 
@@ -419,7 +422,7 @@ def write_record(
 
 
 def _convert_to_json_types(value: Any) -> Any:
-    """Convert a value to types that JSON has."""
+    """Convert numpy numbers, tuples and non-finite numbers in ``value`` to JSON types."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None

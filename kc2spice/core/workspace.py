@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Store of the latest result of each kind, with the key of the result's inputs.
+    """Store of the latest result of each kind, with a key that identifies the inputs.
 
     Threads may share a workspace. A thread never receives a result with another key.
 
