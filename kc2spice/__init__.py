@@ -1,6 +1,7 @@
 """kc2spice: finite-element actuator models as SPICE subcircuits, run with their electronics.
 
-``import kc2spice as kc`` provides the functions of the command line under the same names.
+``import kc2spice as kc`` provides functions with the names of commands, such as ``kc.run`` for
+the command ``kc2spice run``.
 Each name in ``__all__`` is loaded at its first use, so that the import is fast.
 """
 
@@ -106,7 +107,7 @@ _HOME_MODULES = {
     "register_reductor": "rom.reductors.registry",
     "parametric_subcircuit": "synthesis.parametric_resonators",
     "subcircuit": "synthesis.realize",
-}  # modules within the package; all other names are defined in its module api
+}  # module that defines the name, relative to the package; ``api`` defines all other names
 
 
 def __getattr__(name: str) -> Any:

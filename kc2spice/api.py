@@ -1,4 +1,4 @@
-"""Public functions of kc2spice, named like the commands of the command line.
+"""Public functions of kc2spice; run, export, verify and sweep correspond to commands.
 
 ``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. Exceptions are
 classes of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
@@ -49,7 +49,7 @@ __all__ = [
     "sweep",
     "verify",
 ]
-# types of scenes that :func:`kc2spice.load_scene` accepts
+# forms of a scene that :func:`kc2spice.load_scene` accepts
 AnyScene = Scene | str | Path | Mapping[str, Any]
 Function = Callable[[float, Mapping[str, float]], float]
 
@@ -68,11 +68,12 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     Returns
     -------
     dict[str, LinearModel]
-        Models by the name of the body, in SI units.
+        Full models in SI units, keyed by the name of the body.
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`, or a model's file cannot be read.
+    UsageError : the scene is invalid (see :func:`kc2spice.load_scene`), or the file of a model
+        cannot be read.
 
     Examples
     --------
@@ -98,7 +99,7 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
 
 
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
-    """Write the netlist of a scene with the libraries of its parts.
+    """Return the netlist of a scene and the subcircuit libraries of its parts.
 
     The models that the scene needs are built and reduced, or read from the cache.
 
@@ -116,7 +117,8 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`, or the circuit has a wiring error.
+    UsageError : the scene is invalid (see :func:`kc2spice.load_scene`), or the circuit has a wiring
+        error.
 
     Examples
     --------
@@ -154,17 +156,18 @@ def run(
     out : str or Path, optional
         Directory for the files that ``kc2spice run`` writes. By default, no file is written.
     deck : str or Path, optional
-        Netlist of this scene that was edited by hand. The deck is simulated instead of the deck of
-        the scene.
+        Path of a hand-edited netlist of this scene, which is simulated instead of the generated
+        netlist.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
-        ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI units,
-        instead of the Python file beside the scene. If a run is repeated with other settings, time
-        begins at 0 again, and a function that stores values must reset them. A Python file is read
-        again.
+        Control functions, keyed by the name of their ``controller`` part. They replace the Python
+        file beside the scene. Each function has the form ``function(time, inputs) -> output``, in
+        SI units. If the simulation is repeated with other settings, ``time`` begins at 0 again, and
+        a function that stores values between its calls must reset these values. A Python file is
+        loaded again for each simulation.
     overrides : mapping, optional
-        Values by dotted key, as for :func:`kc2spice.load_scene`.
+        New values of keys of the scene, by dotted key, as for :func:`kc2spice.load_scene`.
 
     Returns
     -------
@@ -173,9 +176,9 @@ def run(
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` without the vectors of the metrics; a
-        directory ``out`` that cannot be written, which is checked before the computation.
-    MissingToolError : no ngspice.
+    UsageError : the scene is invalid (see :func:`kc2spice.load_scene`), ``deck`` lacks vectors that
+        the metrics need, or ``out`` cannot be written, which is checked before the computation.
+    MissingToolError : ngspice is not installed.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
 
@@ -226,8 +229,8 @@ def run(
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """Simulate a deck in ngspice and return its waves.
 
-    Metrics and checks need the parts of a scene. :func:`run` computes metrics and checks, also for
-    an edited netlist in its argument ``deck``.
+    The result has no metrics and no checks, because these need the parts of a scene. To compute
+    them for an edited netlist, call :func:`run` with its argument ``deck``.
 
     Parameters
     ----------
@@ -243,8 +246,8 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
 
     Raises
     ------
-    UsageError : not a deck.
-    MissingToolError : no ngspice.
+    UsageError : ``deck`` is not a :class:`Deck`.
+    MissingToolError : ngspice is not installed.
     SimulationError : ngspice failed or stopped early; the message contains the simulated time.
 
     Examples
@@ -284,7 +287,7 @@ def export(
     scene : Scene, str, Path or mapping
         Scene in any form that :func:`kc2spice.load_scene` reads.
     out : str or Path
-        Directory of the files, which is made if it does not exist.
+        Directory to write into, created if it does not exist.
     dialect : str, optional
         Dialect of the netlists, by default ngspice.
     trust : bool, default False
@@ -293,7 +296,7 @@ def export(
     Returns
     -------
     list of Path
-        Paths of the files.
+        Paths of the written files.
 
     Raises
     ------
@@ -324,8 +327,8 @@ def verify(
 ) -> dict[str, Any]:
     """Compare the netlist of a scene in ngspice with independent solutions.
 
-    The independent solutions are the laws of the parts with reduced models, integrated in scipy,
-    and the full models.
+    There are two independent solutions. The first integrates the equations of the parts with their
+    reduced models in scipy. The second uses the full models.
 
     Parameters
     ----------
@@ -346,8 +349,8 @@ def verify(
 
     Raises
     ------
-    MissingToolError : no ngspice.
-    SimulationError : one of the solutions ended without a result.
+    MissingToolError : ngspice is not installed.
+    SimulationError : ngspice or the solver of an independent solution failed.
 
     Examples
     --------
@@ -380,11 +383,13 @@ class Result:
     Attributes
     ----------
     scene : name of the scene or deck.
-    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states; an unknown
-        name here, in ``waves`` and in ``units`` raises a KeyError that lists similar names.
-    waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
+    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
+        name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
+    waves : arrays of shape (points,) in SI units, keyed by name. They contain one value for each
+        value of ``scale``, which is complex in an ``ac`` analysis.
     units : SI unit of each wave, by name.
-    checks : comparisons with physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
+    checks : checks of physical laws, such as conservation of energy, each with ``name``, ``value``,
+        ``limit``, ``passed`` and ``advice``.
     record : the content of ``result.json`` without the names of files.
     deck : the deck of the simulation.
     figures : plots of the parts of the scene by name, for :meth:`plot`.
@@ -407,7 +412,7 @@ class Result:
 
     @property
     def time(self) -> np.ndarray:
-        """Time points [s] (points,), unequally spaced.
+        """Time points [s], an unequally spaced array of shape (points,).
 
         Raises
         ------
@@ -417,7 +422,7 @@ class Result:
 
     @property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] (points,).
+        """Frequencies [Hz], an array of shape (points,).
 
         Raises
         ------
@@ -426,7 +431,7 @@ class Result:
         return self._require_scale("frequency")
 
     def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the wave ``scale``; raise an error if the result has another scale."""
+        """Return the values of the variable ``scale``; reject a result over another variable."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}", where=self.scene, got=self.scale
@@ -434,10 +439,11 @@ class Result:
         return self.waves[scale]
 
     def plot(self, *names: str) -> Any:
-        """Draw waves or one of ``figures``; without names, draw the first of ``figures``.
+        """Plot waves by their names, or one of ``figures``.
 
-        Waves of one unit share a pair of axes. Complex waves are drawn by magnitude. Returns a
-        matplotlib figure, which notebooks display; ``.savefig(path)`` writes it.
+        Without names, the first of ``figures`` is drawn. Waves of one unit share a pair of axes.
+        Complex waves are drawn by magnitude. The method returns a matplotlib figure, which
+        notebooks display, and whose method ``.savefig(path)`` writes a file.
 
         Raises
         ------
@@ -471,13 +477,13 @@ class Result:
         )
 
     def to_xarray(self) -> Any:
-        """Return the waves as an ``xarray.Dataset`` over time, frequency or sweep.
+        """Return the waves as an ``xarray.Dataset`` with the coordinate :attr:`scale`.
 
         Returns
         -------
         xarray.Dataset
-            One variable for each wave in SI, with its unit in ``attrs["units"]``. The coordinate is
-            the wave :attr:`scale`. Complex waves stay complex.
+            One variable for each wave in SI units, with its unit in ``attrs["units"]``. The
+            coordinate is time, frequency or the swept key. Complex waves stay complex.
 
         Raises
         ------
@@ -547,7 +553,7 @@ def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 
 
 def _summarize(value: Any) -> str:
-    """Return a metric as text of one line; the text of an array is its length."""
+    """Return a one-line text of a metric; for an array, only its number of values."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
@@ -564,7 +570,7 @@ def _make_result(
     checks: tuple[Check, ...] = (),
     **more: Any,
 ) -> Result:
-    """Return the object ``Result`` of a run."""
+    """Combine deck, waves, record and checks of a run into a :class:`Result`."""
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
     metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)
@@ -572,7 +578,7 @@ def _make_result(
 
 
 class Table(tuple[dict[str, Any], ...]):
-    """Rows of a sweep, each a mapping.
+    """Table of a sweep: for each point, a mapping of column names to values.
 
     The columns are the swept keys, the metrics that are single numbers, and ``status``. ``status``
     is ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed point are None.
@@ -580,7 +586,7 @@ class Table(tuple[dict[str, Any], ...]):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns, in the order of every row."""
+        """Names of the columns, in the order of the keys of each row."""
         return tuple(next(iter(self)))
 
     def __getitem__(self, column: Any) -> Any:
@@ -634,7 +640,7 @@ class Table(tuple[dict[str, Any], ...]):
 
 
 def _require_path(out: object) -> Path:
-    """Return the path of a directory; raise an error for other objects."""
+    """Return ``out`` as a path; raise an error if it is neither a string nor a path."""
     if isinstance(out, (str, Path)):
         return Path(out)
     raise UsageError(
@@ -649,11 +655,12 @@ def _require_path(out: object) -> Path:
 
 
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
-    """Raise an error for values of a sweep that are not non-empty lists.
+    """Raise an error unless every key of a sweep has a non-empty list of values.
 
     Raises
     ------
-    UsageError : the error contains the key.
+    UsageError : ``values`` is not a mapping, or the values of a key are not a list, or a list is
+        empty.
     """
     expected = "a mapping of keys to lists, such as {'load.resistance': ['1 kOhm', '2 kOhm']}"
     if not isinstance(values, Mapping):
@@ -685,24 +692,24 @@ def sweep(
 ) -> Table:
     """Run a scene at every combination of values; the last key varies fastest.
 
-    The points are the same as in ``kc2spice sweep``. Only the command can continue an interrupted
-    sweep.
+    The points are the same as those of the command ``kc2spice sweep``. Unlike this function, the
+    command can continue an interrupted sweep.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         Scene in any form that :func:`kc2spice.load_scene` reads.
     values : mapping of str to sequence
-        Values of each swept key by its dotted name: numbers in SI units, or texts with a unit.
+        Values of each swept key by its dotted name: numbers in SI units, or strings with a unit.
     executor : concurrent.futures.Executor, optional
         Executor that runs the points, such as ``dask.distributed.Client(ADDRESS).get_executor()``.
         By default, threads of this process run the points. Workers on other machines receive the
         files of the scene only if ``scene`` is a name or a path.
     workers : int, optional
-        Number of simulations at a time. The default is the number of processors.
+        Number of simulations that run in parallel. The default is the number of processors.
     progress : callable, optional
-        Called as ``progress(done, total)`` with the numbers of finished and of all points after
-        each point.
+        Function that is called after each point as ``progress(done, total)``, with the number of
+        finished points and the number of all points.
 
     Returns
     -------
@@ -711,8 +718,8 @@ def sweep(
 
     Raises
     ------
-    UsageError : empty ``values`` or an invalid point; raised before the first run.
-    MissingToolError : no ngspice.
+    UsageError : ``values`` is empty or a point is invalid; raised before the first run.
+    MissingToolError : ngspice is not installed.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Conversion of parts of kc2spice to subcircuits of PySpice and InSpice.
+"""Conversion of kc2spice parts to subcircuits of PySpice and InSpice.
 
 PySpice has not been maintained since 2021; InSpice is a maintained fork (Python 3.12 and later).
 kc2spice itself does not use these packages to run decks.
@@ -18,7 +18,8 @@ Package = Literal["PySpice", "InSpice"]
 def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     """Return a part as a subcircuit of PySpice or InSpice.
 
-    The result is for ``circuit.subcircuit(...)`` and ``circuit.X(name, part.name, *nodes)``.
+    Add the result to a circuit by ``circuit.subcircuit(...)``, and instantiate the result by
+    ``circuit.X(name, part.name, *nodes)``.
 
     Parameters
     ----------

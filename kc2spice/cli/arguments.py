@@ -1,7 +1,7 @@
 """Arguments and options of the command line.
 
-In ``PARAMETERS``, the key is the name of a parameter, or ``command.parameter`` if the parameter
-differs between commands.
+A key of ``PARAMETERS`` is the name of a parameter of a command function. If a parameter differs
+between commands, its keys have the form ``command.parameter``.
 """
 
 from importlib import resources
@@ -14,13 +14,19 @@ from kc2spice.core.errors import UsageError
 
 
 def _complete_scene_names(incomplete: str) -> list[str]:
-    """Return the scene names that begin with an incomplete text; the shell completes file names."""
+    """Return the names of built-in scenes that begin with ``incomplete``.
+
+    The shell itself completes names of files.
+    """
     names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
 
 
 def _list_dialects() -> str:
-    """List the built-in dialects from their file names; importing the printers takes 0.2 s."""
+    """Return the names of the built-in dialects, separated by commas.
+
+    The names are read from file names, because importing the printers takes 0.2 s.
+    """
     folder = resources.files("kc2spice") / "netlist" / "printers" / "dialects"
     stems = (item.name.removesuffix(".py") for item in folder.iterdir())
     names = sorted(stem for stem in stems if stem.isidentifier() and stem[0] != "_")
@@ -28,7 +34,7 @@ def _list_dialects() -> str:
 
 
 def _check_directory(text: str) -> Path:
-    """Return the path of an output directory; raise an error for an empty text."""
+    """Return ``text`` as the path of an output directory; reject an empty string."""
     if not text.strip():  # Path("") would be the current directory
         raise UsageError(
             "the name of the directory is empty",

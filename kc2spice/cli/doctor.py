@@ -1,6 +1,6 @@
 """Checks of the programs and packages that kc2spice needs.
 
-Each failed check contains the command that corrects the problem.
+The result of a failed check contains the command that corrects the problem.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ R1 out 0 1
 .op
 .end
 """
-# Test deck of ngspice features in netlists of kc2spice: parameters in braces, pwl and max in a
-# behavioural source, and the current of this source among the results.
+# Test deck of the ngspice features that netlists of kc2spice use: parameters in braces, ``pwl`` and
+# ``max`` in a behavioural source, and the saved current of this source.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
@@ -54,7 +54,7 @@ R1 out 0 1
 .save @b1[i]
 .end
 """
-# Feature, test deck, expected last values of its vectors, and remedy.
+# Name of the feature, test deck, vectors, expected last value of each vector, and remedy.
 _FEATURE_TESTS = (
     ("ngspice runs our netlists", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
      "install a complete ngspice, version 39 or later"),
@@ -79,7 +79,7 @@ class Finding:
 
 
 def check_installation() -> Iterator[Finding]:
-    """Return the results of all checks, quick checks first."""
+    """Yield the result of each check of the installation, quick checks first."""
     version = ".".join(map(str, sys.version_info[:3]))
     yield Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
     for library in _PYTHON_PACKAGES:

@@ -1,7 +1,7 @@
 """Command line: commands, progress and exit codes.
 
 Slow imports are inside the commands, so that ``--help`` prints without delay. For the same reason
-this module does not postpone annotations: typer evaluates each of them three times.
+this module does not postpone annotations: typer would evaluate each annotation three times.
 """
 
 import gc
@@ -98,7 +98,8 @@ def run_command_line() -> None:
     # objects exist until the program ends.
     gc.set_threshold(100_000)
     try:
-        # Also covers errors outside of the commands, such as errors of options before the command.
+        # ``report_errors`` is also needed here, for errors that occur outside of the commands, such
+        # as a wrong option before the name of the command.
         with end_on_signals(), report_errors():
             app()
     except typer.Exit as end:
@@ -130,9 +131,9 @@ def _common_options(
 def _register_command(function: Callable[..., None]) -> Callable[..., None]:
     """Register the function ``_name(caller, …)`` as the command ``name``.
 
-    ``PARAMETERS`` contains the options of the command, to which ``--json`` and ``--quiet`` are
-    added. If the command raises an exception, the program prints one message and ends with an exit
-    code.
+    ``PARAMETERS`` describes the options of the command. Every command also has the options
+    ``--json`` and ``--quiet``. If the command raises an exception, the program prints one message
+    and ends with an exit code.
     """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:
@@ -157,7 +158,7 @@ def _register_command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _load_scene(scene: str, set_: list[str] | None) -> Any:
-    """Load a scene with the values of ``--set``."""
+    """Load a scene and override its keys with the values of ``--set``."""
     from kc2spice.scene.load import load_scene
 
     return load_scene(scene, set_ or [])
@@ -489,7 +490,7 @@ METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
 def _compare_methods(
     caller: Caller, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
 ) -> None:
-    """Print states, error estimate and CPU time of every method of reduction."""
+    """Print number of states, error estimate and CPU time of every reduction method."""
     from kc2spice.workflow.methods import compare_methods
     from kc2spice.workflow.reduce_files import require_stable
 
@@ -513,7 +514,7 @@ def _compare_methods(
 
 
 def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
-    """Return the table row of one method; a method without a model has a reason."""
+    """Return the table row of a reduction method; if it failed, the row contains the reason."""
     cpu = f"{row['cpu_s']:.2g} s"
     if row["states"] is None:
         return row["method"], "-", row["reason"], "", cpu

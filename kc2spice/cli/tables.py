@@ -40,7 +40,7 @@ class Caller:
     quiet: bool
 
     def progress(self) -> AbstractContextManager[Progress]:
-        """Show one line for each stage with its elapsed time, on a terminal."""
+        """Return a context that shows each stage and its elapsed time if stderr is a terminal."""
         if not self.quiet and sys.stderr.isatty():
             return _show_progress_bars()
         return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
@@ -84,7 +84,7 @@ def _show_progress_bars() -> Iterator[Progress]:
                 bars.update(task.id, total=1, completed=1, end=math.inf)
 
         def update_bar(stage: str, done: float | None, text: str) -> None:
-            """Update the bar of a stage."""
+            """Set the completed fraction and the text of the progress bar of a stage."""
             tasks = {task.fields["stage"]: task.id for task in bars.tasks}
             if stage not in tasks:
                 fill_bar()
@@ -114,7 +114,7 @@ def _describe_remaining(seconds: float) -> str:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Convert exceptions to one message and the documented exit code."""
+    """Print one message for an exception of the block, and exit with the documented code."""
     warnings.showwarning = lambda message, *_, **__: print(
         f"kc2spice: warning: {message}", file=sys.stderr, flush=True
     )
@@ -151,7 +151,7 @@ def report_errors() -> Iterator[None]:
 
 def _discard_stdout() -> None:
     """Discard further output on stdout."""
-    with contextlib.suppress(OSError, ValueError):  # the stream ``sys.stdout`` is not a file
+    with contextlib.suppress(OSError, ValueError):  # ``sys.stdout`` may lack a descriptor
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -164,7 +164,7 @@ def _print_error(text: str, code: int) -> NoReturn:
 def print_table(
     title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = (), names: int | None = None
 ) -> None:
-    """Print a small table on stdout, as plain text if stdout is no terminal.
+    """Print a small table on stdout, as plain text if stdout is not a terminal.
 
     Entries of the column ``names`` are never wrapped, so that readers can search and copy them.
     """
@@ -192,7 +192,7 @@ def print_keys(title: str, keys: Iterable[Key]) -> None:
 
 
 def print_tables(sections: Iterable[PageSection]) -> None:
-    """Print the tables of a page."""
+    """Print the tables of the sections of a report page."""
     for section in sections:
         if section.rows:
             rows = [[cell.replace("\u2212", "-") for cell in row] for row in section.rows]

@@ -1,4 +1,4 @@
-"""Errors of the command line: options, arguments and commands."""
+"""Errors about wrong options, arguments and commands of the command line."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from kc2spice.cli.tables import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
-_SEARCH_ARGUMENT = "SEARCH"  # name of an argument that consists of several words
-# older versions of typer use the error class of click
+_SEARCH_ARGUMENT = "SEARCH"  # name of an argument that may consist of several words
+# base class of parser errors, which is a class of click in older versions of typer
 _ParserError: Any = typer.BadParameter.__base__
 
 
 class CheckedCommand(TyperCommand):
-    """Command whose errors have four lines, and whose usage line contains ``SCENE``."""
+    """Command that reports mistakes in four lines, and whose usage line has no braces."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the arguments; report mistakes as errors of four lines."""
+        """Parse the arguments; report each mistake in an error of four lines."""
         typed = list(args)
         # Extra arguments are rejected below, in an error that contains the typed text.
         extra.setdefault("allow_extra_args", True)
@@ -42,12 +42,12 @@ class CheckedCommand(TyperCommand):
         return context
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the words of the usage line."""
+        """Return the words of the usage line, without braces."""
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
 
 class CheckedCommands(TyperGroup):
-    """Group of all commands; errors have four lines."""
+    """Group of all commands, which reports mistakes in four lines."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         """Parse the options before the command."""
@@ -68,7 +68,7 @@ class CheckedCommands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-# Commands of this program with the meaning of commands of other programs.
+# Command names of other programs, and the command of this program with the same meaning.
 _COMMAND_SYNONYMS = {
     "simulate": "run", "sim": "run", "start": "run", "solve": "run", "plot": "run",
     "netlist": "export", "write": "export", "convert": "export", "test": "verify",
@@ -120,7 +120,7 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
-    """Return frequencies such as ``20k`` as numbers in Hz; empty if one is no frequency."""
+    """Return frequencies such as ``20k`` as numbers in Hz; empty if a word is no frequency."""
     from kc2spice.core.quantities import quantity  # imported here, because it takes long to load
 
     with contextlib.suppress(UsageError):
@@ -134,7 +134,7 @@ def _join_typed_line(command: Any, typed: list[str]) -> str:
     return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
 
 
-# Options of this program with the meaning of options of other programs.
+# Option names of other programs, and the options of this program with the same meaning.
 _OPTION_SYNONYMS = {
     "--format": ("--dialect",),
     "--simulator": ("--dialect",),
@@ -244,7 +244,7 @@ def _find_example(command: Any) -> str:
 
 
 def _find_option_words(param: Any, typed: list[str]) -> list[str]:
-    """Return the typed words that are the last value of an option."""
+    """Return the words of the value of an option as typed; the last value if it is repeated."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -254,29 +254,29 @@ def _find_option_words(param: Any, typed: list[str]) -> list[str]:
     return words
 
 
-def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
-    """Make the error of an option whose value is not a number or out of range.
+def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -> UsageError:
+    """Make the error of an option whose value is not a number or is out of range.
 
-    With ``fractional``, the typed number has decimals, but the option needs a whole number.
+    ``is_integer`` is true if the option needs a whole number.
     """
     name, words = param.opts[0], _find_option_words(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
     low, high = _find_option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
-        problem = "this value is not a whole number" if fractional else "this value is out of range"
+        problem = "this value is not a whole number" if is_integer else "this value is out of range"
         unlimited = low is None and high is None
-        expected = "a whole number" + ("" if unlimited else f", {limits}") if fractional else limits
+        expected = "a whole number" + ("" if unlimited else f", {limits}") if is_integer else limits
         hint = f"for example {name} {max(low or 1, 1):g}"
         return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
     if param.name != "band":
-        problem, kind = "this value is not a number", "a whole number" if fractional else "a number"
+        problem, kind = "this value is not a number", "a whole number" if is_integer else "a number"
         expected, hint = kind, f"write {kind} in place of {wrong}"
         if low is not None or high is not None:
             expected = f"{kind}, {limits}"
             hint = f"for example {name} {max(low or 1, 1) if high is None else high:g}"
         share = wrong.removesuffix("%").strip()
-        if wrong.endswith("%") and _is_number(share) and not fractional:
+        if wrong.endswith("%") and _is_number(share) and not is_integer:
             hint = f"write {name} {float(share) / 100:.12g}"
         return UsageError(problem, where=name, got=wrong, expected=expected, hint=hint)
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
