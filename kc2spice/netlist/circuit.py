@@ -76,7 +76,7 @@ class Element(Card):
 
     @classmethod
     def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
-        """Return the element with a name, nodes, controlling elements, and model or values.
+        """Make an element from its name and the words and assignments of its card.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class Parameters(Card):
 
 @dataclass(frozen=True)
 class Function(Card):
-    """Statement ``.func``: name and arguments of an expression."""
+    """Statement ``.func``: name, arguments and expression of a function."""
 
     name: str
     arguments: tuple[str, ...]

@@ -53,7 +53,7 @@ class Option:
 # default options of ngspice
 RELTOL = 1e-3
 CHGTOL = 1e-14
-# V or A, smallest step of a dc sweep; ngspice compares with the end of the sweep within 2.2e-13.
+# V or A, smallest step of a dc sweep; ngspice detects the end of a sweep within 2.2e-13 V or A.
 SMALLEST_SWEEP_STEP = 1e-12
 MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per decade in 32 bits
 
@@ -111,7 +111,7 @@ def transient_command(stop: float, max_step: float, *, uic: bool) -> Command:
 
 
 def ac_command(start: float, stop: float, points: int, scale: str) -> Command:
-    """Return the ``.ac`` analysis at about ``points`` frequencies [Hz] of a range."""
+    """Return the ``.ac`` analysis at about ``points`` frequencies, ``start`` to ``stop`` [Hz]."""
     return Command("ac", _format_range(start, stop, points, scale))
 
 
@@ -121,8 +121,8 @@ def noise_command(
     """Return the ``.noise`` analysis of the voltage ``output``.
 
     The frequencies are those of :func:`ac_command`. At each frequency, the result contains the
-    noise of each device. The simulator needs the name of a ``source`` for the equivalent input
-    noise.
+    noise of each device. The equivalent input noise, which the simulator also computes, is
+    relative to the source with the name ``source``.
     """
     return Command("noise", (output, source, *_format_range(start, stop, points, scale), "1"))
 
@@ -413,7 +413,7 @@ class Deck:
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
-        """Return the deck with further results."""
+        """Return the deck with the results ``vectors`` in addition to its present results."""
         result = replace(self, vectors={**self.vectors, **vectors})
         if self.text is None or ".save" not in map(_keyword_of, self._parse_text.items):
             return result
@@ -425,7 +425,7 @@ class Deck:
         return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """Return the deck with changed options."""
+        """Return the deck with new values of ``options``, and the ``reason`` for them."""
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)

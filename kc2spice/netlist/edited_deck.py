@@ -33,7 +33,7 @@ from kc2spice.netlist.scope import Scope, has_vector
 class ParameterEdit(NamedTuple):
     """Parameter of a subcircuit instance with its old value and its new value.
 
-    The value of an expression is NaN.
+    If a value is an expression, it is stored as NaN.
     """
 
     name: str
@@ -215,7 +215,7 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
 
 
 def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -> None:
-    """Reject a deck that lacks nodes or devices of the scene's results.
+    """Reject a deck that lacks nodes or devices to which the results of the scene refer.
 
     Raises
     ------
@@ -278,8 +278,8 @@ def _compare_options(
 
     def parse_value(text: str | None) -> float | str | None:
         """Return the value of an option as a number, or as text if it is no number."""
-        parse_number = literal_value(text) if text else None
-        return text if parse_number is None else parse_number
+        number = literal_value(text) if text else None
+        return text if number is None else number
 
     different = {}
     for key in dict.fromkeys([*before, *now]):
@@ -290,7 +290,7 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return the reason for each part whose cards differ, keyed by name.
+    """Return a text for each part whose cards differ, keyed by the name of the part.
 
     Differences in the parameters of an instance, or in its subcircuit, are ignored.
     """
@@ -310,13 +310,13 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
 
 
 def _element_content(card: Element) -> str:
-    """Return an element without its nodes; of an instance, also without its parameters."""
+    """Return the text of an element without its nodes; for an instance, also without parameters."""
     plain = replace(card, nodes=())
     return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)
 
 
 def normalise_element(card: Element) -> str:
-    """Return the content of an element without irrelevant blanks and brackets."""
+    """Return the text of an element in normal form, without redundant blanks and brackets."""
     plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
     return Printer().element(plain)
 
@@ -345,8 +345,8 @@ def _compare_parameters(
 
     def parse_number(text: str | None) -> float:
         """Return the numeric value of a parameter; NaN for an expression."""
-        parse_value = None if text is None else literal_value(text)
-        return math.nan if parse_value is None else parse_value
+        number = None if text is None else literal_value(text)
+        return math.nan if number is None else number
 
     for name in before.keys() | now.keys():
         if before.get(name) != now.get(name):

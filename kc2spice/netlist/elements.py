@@ -19,7 +19,7 @@ _PIVOT_COMMENT = (
 
 
 def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
-    """Return the cards, each with its preceding comments."""
+    """Return the cards in ``lines``, each with the comments above it as ``notes``."""
     result: list[Item] = []
     notes: list[str] = []
     for line in lines:

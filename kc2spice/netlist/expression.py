@@ -40,7 +40,7 @@ MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
 
 @dataclass(frozen=True)
 class Number:
-    """Number in the original spelling, without suffix letters."""
+    """Number as text, without scale factor and unit letters."""
 
     text: str
 
@@ -98,7 +98,7 @@ Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
-    """Return the tree of ``text``; braces and quotes around subexpressions are ignored.
+    """Return the expression tree of ``text``, without braces and quotes.
 
     Raises
     ------
@@ -166,7 +166,7 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 
 
 def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
-    """Evaluate an expression of parameters.
+    """Return the value of an expression of numbers and parameters.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class _Parser:
         self.text, self.where, self.at = text, where, 0
 
     def parse_complete_text(self) -> Tree:
-        """Parse the complete text."""
+        """Parse the complete text as one expression; reject additional text after it."""
         tree = self.parse_choice()
         if self.text[self.at :].strip():
             raise self.error("stray text")

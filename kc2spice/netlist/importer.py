@@ -51,7 +51,7 @@ IDEAL_DIODE_PARAMETERS = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
 # Parameters of models that LTspice only displays: ratings and manufacturers. VDMOS models have
-# further ones.
+# additional displayed parameters.
 DISPLAYED_PARAMETERS = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
 VDMOS_DISPLAYED_PARAMETERS = DISPLAYED_PARAMETERS | {"qg", "ron", "vds"}
 # Parameters of elements that LTspice only displays: ratings, manufacturers and part numbers
@@ -137,7 +137,7 @@ class _CircuitTranslator:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        # ammeters of elements whose current an expression reads
+        # names of ammeters, keyed by the elements whose current an expression reads
         self.metered: dict[str, str] = {}
 
     def translate(self) -> Circuit:
@@ -153,7 +153,7 @@ class _CircuitTranslator:
         return replace(self.circuit, items=tuple(items), defaults=defaults)
 
     def _translate_values(self, values: Mapping[str, str], card: Card) -> dict[str, str]:
-        """Translate the values of a card."""
+        """Translate all values in a mapping of a card, such as its parameters."""
         return {name: self._translate_value(text, card) for name, text in values.items()}
 
     def _translate_value(self, text: str, card: Card) -> str:
@@ -204,7 +204,7 @@ class _CircuitTranslator:
             )
         base = self._resolve_model(base)
         parameters = _model_parameters(base) | _model_parameters(model)
-        parameters.pop(base.type.lower(), None)  # the type, which may also follow after ako:
+        parameters.pop(base.type.lower(), None)  # the type may be repeated after ako:
         return replace(model, type=base.type, parameters=parameters)
 
     def _translate_model(self, model: Model) -> Iterable[Model]:
@@ -221,7 +221,7 @@ class _CircuitTranslator:
             _require_simple_switch(model)
         displayed = VDMOS_DISPLAYED_PARAMETERS if kind == "vdmos" else DISPLAYED_PARAMETERS
         if self.syntax == "pspice":
-            displayed = displayed | {"t_abs"}  # the elements of the model get ``T_ABS``
+            displayed = displayed | {"t_abs"}  # the elements get the temperature ``T_ABS``
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
         return (replace(model, parameters=self._translate_values(computed, model)),)
 
@@ -402,7 +402,7 @@ def _translate_voltage(element: Element) -> Iterable[Item]:
 def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
-    """Return the element without parasitics, and one additional element per parasitic."""
+    """Yield the element without parasitics, then one additional element for each parasitic."""
     parasitic = ("rser", "rpar", "cpar", *more)
     stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
     left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
@@ -652,7 +652,7 @@ class _ExpressionTranslator:
                 return Binary("^", base, power)
             even = Number(str(int(exponent) - 1))
             return base if exponent == 1 else Binary("*", base, Binary("^", base, even))
-        if _is_positive(base):
+        if _is_non_negative(base):
             return Binary("^", base, power)
         problem = "a power with a base that can be negative has another value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
@@ -664,10 +664,10 @@ class _ExpressionTranslator:
         )
 
 
-def _is_positive(tree: Tree) -> bool:
-    """Return whether an expression cannot be negative.
+def _is_non_negative(tree: Tree) -> bool:
+    """Return whether an expression counts as non-negative.
 
-    Such expressions are positive numbers, parameters, and functions without negative values.
+    Such expressions are numbers, parameters, and functions without negative values.
     """
     return isinstance(tree, Number | Name) or (
         isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
@@ -712,7 +712,7 @@ def _translate_whole_part(x: Tree) -> Tree:
     return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
 
 
-def _translate_length(x: Tree, y: Tree) -> Tree:
+def _translate_hypot(x: Tree, y: Tree) -> Tree:
     """Translate ``hypot``, the square root of a sum of squares."""
     return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
 
@@ -722,13 +722,13 @@ def _translate_square(x: Tree) -> Tree:
     return Binary("*", x, x)
 
 
-def _translate_step_below(x: Tree) -> Tree:
-    """Translate the step function that is 1 below zero."""
+def _translate_inverter(x: Tree) -> Tree:
+    """Translate ``inv(x)``, which is 0 if the condition ``x`` is true, and otherwise 1."""
     return Choice(_translate_condition(x), Number("0"), Number("1"))
 
 
-def _translate_step_above(x: Tree) -> Tree:
-    """Translate the step function that is 1 above zero."""
+def _translate_buffer(x: Tree) -> Tree:
+    """Translate ``buf(x)``, which is 1 if the condition ``x`` is true, and otherwise 0."""
     return Choice(_translate_condition(x), Number("1"), Number("0"))
 
 
@@ -740,11 +740,11 @@ _FUNCTION_RULES: dict[tuple[str, int], Callable[..., Tree]] = {
     ("pwrs", 2): _translate_signed_power,
     ("int", 1): _translate_whole_part,
     ("round", 1): lambda x: Call("nint", (x,)),
-    ("hypot", 2): _translate_length,
+    ("hypot", 2): _translate_hypot,
     ("sqr", 1): _translate_square,
     ("square", 1): _translate_square,
-    ("buf", 1): _translate_step_above,
-    ("inv", 1): _translate_step_below,
+    ("buf", 1): _translate_buffer,
+    ("inv", 1): _translate_inverter,
     ("log", 1): lambda x: Call("ln", (x,)),
     ("sign", 1): lambda x: Call("sgn", (x,)),
     ("stp", 1): lambda x: Call("u", (x,)),

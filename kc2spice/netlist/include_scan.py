@@ -10,7 +10,8 @@ circuit, the text of the circuit is not changed.
 
 The file of a part may only define subcircuits, because every other card acts on the whole deck. For
 example, a definition of the function ``max`` changes all other cards that call ``max``. An option
-changes the accuracy of the run. An element is connected to deck nodes with the same name.
+changes the accuracy of the run. An element outside of a subcircuit is connected to all deck nodes
+with the same names.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from kc2spice.netlist.read import (
 )
 from kc2spice.netlist.spelling import format_comment
 
-MAX_CIRCUIT_BYTES = 4_000_000  # bytes of one file, and characters of the merged text
+MAX_CIRCUIT_BYTES = 4_000_000  # limit of a file's bytes, and of the merged text's characters
 MAX_INCLUDED_FILES = 64  # largest number of files of one circuit
 # The simulator treats any word that begins with ".inc" as an include, also after blanks.
 _INCLUDE_LINE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
@@ -215,7 +216,7 @@ class _Reader:
             ) from None
 
 
-# First bytes of files of other programs, the name of the format, and the action.
+# First bytes of files in other formats, with the name of the format and the advised action.
 _OTHER_FORMATS = {
     b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) in its place"),
     b"PK\x03\x04": ("an archive", "unpack it, and give the path of the netlist in it"),
@@ -262,7 +263,7 @@ _NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
 
 
 def _is_missing(path: Path) -> bool:
-    """Return whether ``path`` is no file; False for names that no file can have."""
+    """Return whether no file exists at ``path``; False for an impossible file name."""
     try:
         return not path.is_file()
     except (OSError, ValueError):
@@ -302,7 +303,7 @@ def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) ->
 
 
 def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
-    """Return a line in the common spelling, and whether the next line is a continuation."""
+    """Return a line in normalised spelling, and whether the next line is a continuation."""
     line = raw.replace("\t", " ").strip(" ")
     if not line or line.startswith("*"):
         return line, goes_on
@@ -322,7 +323,7 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
 # --- cards that affect the whole deck ---
 
 # fmt: off
-# Functions that exist on every card, not only on cards of sources.
+# Functions that every card may call, not only the cards of sources.
 _FUNCTION_NAMES = FUNCTIONS.union((
     "agauss", "arctan", "atan2", "aunif", "db", "ddt", "gauss", "hypot", "i", "if", "int", "limit",
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
@@ -478,7 +479,7 @@ ALLOWED_OPTIONS = frozenset((
 # Commands of ngspice that run programs or open files.
 _TRUSTED_COMMANDS = frozenset((".control", ".endc", ".exec", ".lib", ".include", ".inc",
                                ".codemodel", ".spiceinit", ".endl"))
-# Commands of LTspice, and the action in place of each.
+# Commands that only LTspice has, with the advised action for each command.
 _LTSPICE_COMMANDS = {
     ".backanno": "delete this line, which affects only the display of LTspice",
     ".wave": "delete this line, and set a probe in the scene",

@@ -27,7 +27,7 @@ from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instan
 from kc2spice.netlist.spelling import split_infix_unit
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
-# Types of the models of elements.
+# Usual model type of each element letter, for hints.
 _MODEL_TYPES = {"d": "D", "q": "NPN", "j": "NJF", "m": "NMOS", "s": "SW", "w": "CSW", "z": "NMF"}
 # Parasitic settings on element cards of LTspice, and the equivalent separate elements.
 _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
@@ -35,7 +35,7 @@ _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R 
 
 
 def require_valid_wiring(deck: Deck) -> None:
-    """Raise an error about the first wiring mistake of ``deck``, which states their number.
+    """Raise an error about the first wiring mistake of ``deck`` and the number of other mistakes.
 
     Raises
     ------
@@ -267,7 +267,7 @@ def _card_text(card: Card) -> str:
 def _make_unknown_name_error(
     card: Card, message: str, name: str, known: Collection[str], otherwise: str
 ) -> UsageError:
-    """Make the error about a name that a netlist lacks.
+    """Make the error about a name that is not defined in the netlist.
 
     ``otherwise`` is the advice if no known name is similar.
     """

@@ -19,8 +19,8 @@ from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
 from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
-# Up to this number of unknowns, the solution of dense matrices for all frequencies together is
-# faster than sparse matrices.
+# Up to this number of unknowns, solving dense matrices for all frequencies together is faster than
+# solving one sparse matrix for each frequency.
 MAX_DENSE_UNKNOWNS = 60
 _BRANCH_KINDS = frozenset("vel")  # element letters whose current is an additional unknown
 
@@ -41,10 +41,11 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """Return the unknowns ``answers`` (len(s), answers, loads) under each of the ``loads``.
+        """Return the values of the unknowns ``answers`` for each of the ``loads``.
 
-        A load is a set of currents into nodes, and of voltages of sources ``i(NAME)``. The voltage
-        of an answer at ground is zero.
+        The result has the shape (len(s), len(answers), len(loads)), with the complex frequencies
+        ``s``. A load consists of currents into nodes, and of voltages of sources ``i(NAME)``. The
+        voltage of a grounded node is zero.
         """
         # imported here, because these packages are not needed to write a library
         import scipy.sparse as sparse
@@ -101,7 +102,7 @@ class NodalCircuit:
         grounded: Collection[str],
         sources: Mapping[str, str],
     ) -> NodalEquations:
-        """Return the equations of an instance.
+        """Return the nodal equations of an instance of the circuit.
 
         Parameters
         ----------

@@ -45,7 +45,7 @@ def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> W
 
 
 def _compute_power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
-    """Compute one power term over the scale of the waves.
+    """Compute the values of one power term at all points of the waves.
 
     In an ``ac`` analysis, the mean of a heat flow over a period is zero. In a dc sweep, a
     mechanical power is zero, because nothing moves at an operating point.

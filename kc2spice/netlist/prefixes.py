@@ -1,9 +1,9 @@
 """Numbers with scale factors, such as ``24.9u``, that ngspice reads without rounding error.
 
 ngspice reads the digits of a number as one integer, and multiplies the integer by a power of ten.
-Because of rounding, ``100n`` is not the same double as ``1e-07``, but ``100.00n`` is. Of a
-parameter, ngspice first multiplies the number by its scale factor, and prints the product with 16
-digits. Tests with 1500 random numbers on ngspice 39 agree with :func:`read_value` and
+Because of rounding, ``100n`` is not the same double as ``1e-07``, but ``100.00n`` is. For the value
+of a parameter, ngspice first multiplies the number by its scale factor, and prints the product with
+16 digits. Tests with 1500 random numbers on ngspice 39 agree with :func:`read_value` and
 :func:`read_parameter` in every bit.
 """
 

@@ -259,7 +259,7 @@ def _read_function(s: Statement) -> Function | None:
 
 
 def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
-    """Return the values of assignments ``name=value``, keyed by name, in the given order."""
+    """Return the values of assignments ``name=value``, keyed by name, in their order."""
     pairs = {}
     for item in items:
         word = item.strip(",")

@@ -1,4 +1,4 @@
-"""Text of numbers and names on netlist cards, and templates."""
+"""Spelling of numbers and names on netlist cards, and rendering of templates."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-# 1/s, decay rate of a floating charge in a netlist. From each node that stores a charge, a leakage
-# current of this rate times the charge flows. At an operating point, the sum of the leakage
+# 1/s, decay rate of a floating charge in a netlist. Each node that stores a charge has a leakage
+# current, which is this rate times the charge. At an operating point, the sum of the leakage
 # currents is therefore zero if the sum of the charges is zero. At the frequency f, the leakage
 # current is the fraction 1.6e-10 Hz / f of the node's current, for any capacitance.
 LEAK_RATE = 1e-9
@@ -159,7 +159,7 @@ def format_comment(text: str) -> str:
 
 @cache
 def template_renderer(autoescape: bool = False) -> Any:
-    """Return the renderer of the templates, in the installed package or in the repository."""
+    """Return the jinja2 environment for the templates of the package or of the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent

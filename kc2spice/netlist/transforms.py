@@ -203,7 +203,7 @@ def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _move_into_instance(expression: str, instance: str) -> str:
-    """Return the sum of the same vectors inside an instance."""
+    """Return ``expression`` with each vector replaced by the same vector inside ``instance``."""
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
@@ -217,7 +217,7 @@ def add_noise_results(
     """Return the deck with the noise density of each noisy resistor as a result.
 
     The name of a result is ``OUTPUT.OWNER.RESISTOR``. The result ``output`` is the density of the
-    total noise. The owner is the part in ``owners`` whose name is the beginning of the card's name.
+    total noise. ``OWNER`` is the part in ``owners`` whose name begins the name of the card.
     ``noisy`` are the names of physical resistors with noise, keyed by library file. All other
     resistors of these libraries are auxiliary and become noiseless.
     """

@@ -72,7 +72,7 @@ _ELEMENT_PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-# parameters only for noise analyses; dialects omit them, because they refuse noise analyses
+# parameters only for noise analyses; dialects omit them, because they reject noise analyses
 _NOISE_PARAMETERS = frozenset({"noisy"})
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
@@ -130,7 +130,7 @@ class Dialect(Printer, ABC):
     # -- cards ------------------------------------------------------------------------------
 
     def format_file(self, circuit: Circuit) -> str:
-        """Return the text of a file."""
+        """Return the text of a file with the items of ``circuit``."""
         self.defined = {item.name.lower() for item in items_of(circuit.items, Function)}
         return super().format_file(circuit)
 
@@ -365,8 +365,8 @@ class Dialect(Printer, ABC):
         """Return the text of ``tree``.
 
         As in ngspice, a power is computed from the absolute value of its base. Logical operators
-        are replaced by conditional expressions, whose syntax is ``if(test, yes, no)`` in both
-        dialects.
+        are replaced by conditional expressions, whose syntax is ``if(test, yes, no)`` in
+        Xyce and LTspice.
         """
         match tree:
             case Choice(test, yes, no):
@@ -379,7 +379,7 @@ class Dialect(Printer, ABC):
 
 
 def _remove_letters(match: re.Match[str]) -> str:
-    """Return a number with a scale factor that all simulators know, or without letters."""
+    """Return a number without letters, or with a scale factor that all simulators know."""
     if match[1].lower() in _COMMON_SCALE_FACTORS:
         return match[0]
     tree = parse_expression(match[0])
@@ -392,7 +392,7 @@ _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
 def _number_of_condition(tree: Tree) -> Tree:
-    """Return the expression of a condition whose value is 0 or 1."""
+    """Return an expression that is 1 if the condition ``tree`` is true, and otherwise 0."""
     match tree:
         case Binary(op) if op in _COMPARISON_OPERATORS:
             return Choice(tree, _ONE, _ZERO)

@@ -76,7 +76,7 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
-        titled = value.title != Dialect.title  # inherited: the title of ngspice
+        titled = value.title != Dialect.title  # a class without a title inherits that of ngspice
         named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
         if not missing and named and titled:
             return value
@@ -93,8 +93,8 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
 
 
 @cache
-def _module_names() -> tuple[str, ...]:
-    """Return the names of the dialects of kc2spice."""
+def _builtin_dialect_names() -> tuple[str, ...]:
+    """Return the names of the built-in dialects, which are names of modules."""
     modules = pkgutil.iter_modules(import_module(DIALECT_PACKAGE).__path__)
     return tuple(map(attrgetter("name"), modules))
 
@@ -102,7 +102,7 @@ def _module_names() -> tuple[str, ...]:
 def deck_dialects() -> tuple[str, ...]:
     """Return the names of all dialects for decks, ngspice first."""
     foreign = plugin_names(ENTRY_POINT_GROUP)
-    return tuple(dict.fromkeys((NGSPICE, *_module_names(), *foreign, *_dialects)))
+    return tuple(dict.fromkeys((NGSPICE, *_builtin_dialect_names(), *foreign, *_dialects)))
 
 
 def dialect_names() -> tuple[str, ...]:
@@ -142,7 +142,7 @@ def find_dialect(name: str) -> type[Dialect]:
     ------
     UsageError : no dialect with a printer has this name, or its package cannot be imported.
     """
-    if name not in _dialects and name in _module_names():
+    if name not in _dialects and name in _builtin_dialect_names():
         import_module(f"{DIALECT_PACKAGE}.{name}")
     if name not in _dialects and name in plugin_names(ENTRY_POINT_GROUP):
         dialect = load_plugin(ENTRY_POINT_GROUP, name)

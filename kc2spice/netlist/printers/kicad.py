@@ -260,7 +260,7 @@ def _rename_source(word: str, references: Mapping[str, str]) -> str:
 
 
 def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
-    """Return the item of an element on the sheet.
+    """Return the item of the sheet that represents an element.
 
     Raises
     ------
@@ -313,12 +313,12 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
 
 
 def _label_length(net: str) -> int:
-    """Return the length [grid units] of a label, or for node 0 of a ground symbol."""
+    """Return the length [grid units] of the label of a net; for node 0, of a ground symbol."""
     return 2 if net == "0" else ceil(_LETTER_WIDTH * len(net)) + 2
 
 
 def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
-    """Split the items into rows of this width [grid units], at horizontal positions."""
+    """Split the items into rows of ``width`` [grid units], and set their positions in the rows."""
     items = list(items)
     longest = max(map(_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
     start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
@@ -389,7 +389,7 @@ class _Track:
 
 def _channel_ends(row: Iterable[_Item], upwards: bool) -> list[tuple[int, int, str, str]]:
     """Return the pin ends that lead to the wiring channel above or below a row."""
-    return [end for end in _free_ends(row) if (end[2] == "top") == upwards]
+    return [end for end in _pin_ends(row) if (end[2] == "top") == upwards]
 
 
 def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
@@ -438,7 +438,7 @@ def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int]
     return result
 
 
-def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
+def _pin_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
     """Yield x, y, side and net of all pin ends on the sheet."""
     for item in items:
         yield from item.ends
@@ -458,7 +458,7 @@ def _draw_sheet(
             break
     every = [*placed, *_draw_grounds(placed, plain)]
     wired = frozenset(chain.from_iterable(map(attrgetter("pins"), tracks)))
-    single = [end for end in _free_ends(placed) if end[3] != "0" and end[:2] not in wired]
+    single = [end for end in _pin_ends(placed) if end[3] != "0" and end[:2] not in wired]
     sheet = SimpleNamespace(
         paper=paper,
         labels=[*single, *map(attrgetter("label"), tracks)],
@@ -479,7 +479,7 @@ def _draw_sheet(
 
 
 def _choose_paper(width: float, height: float) -> str:
-    """Return the smallest paper size for a drawing of this size [mm], otherwise A0."""
+    """Return the smallest paper size for a drawing of this size [mm]; A0 if it fits on none."""
     for paper, (available_width, available_height) in _PAPER_SIZES.items():
         if width <= available_width and height <= available_height:
             return paper
@@ -489,7 +489,7 @@ def _choose_paper(width: float, height: float) -> str:
 def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
     """Yield a ground symbol at every pin on node 0, and one power flag."""
     count = 0
-    for x, y, side, net in _free_ends(items):
+    for x, y, side, net in _pin_ends(items):
         if net == "0":
             count += 1
             yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])

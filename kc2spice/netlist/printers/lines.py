@@ -84,7 +84,7 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _last_between(places: Sequence[int], low: int, high: int) -> int:
-    """Return the last of the ascending ``places`` from ``low`` to ``high``; otherwise 0."""
+    """Return the largest of the ascending ``places`` from ``low`` to ``high``; 0 without one."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 

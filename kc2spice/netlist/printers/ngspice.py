@@ -119,7 +119,7 @@ class Printer(ExpressionWriter):
         return with_prefixes(text)
 
     def value(self, text: str) -> str:
-        """Return a word of a card, which in braces or single quotes is an expression."""
+        """Return the text of a word; a word in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return self.number(text)
         written = self.write(parse_expression(text, where=self.where))

@@ -81,7 +81,7 @@ _SWITCH_DEFAULTS = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 @dataclass
 class Module:
-    """Verilog-A module under construction."""
+    """Collection of the declarations and statements of a Verilog-A module."""
 
     declarations: list[str] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
@@ -183,7 +183,7 @@ class VerilogNames(ExpressionWriter):
                     "arguments, each with a value"
                 )
                 raise UsageError(message, where=self.where, got=self.part)
-            self.module.functions.append(_table_expression(name, at, f))
+            self.module.functions.append(_table_function(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.functions.get(function):
             bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
@@ -261,7 +261,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
 
 
 def _expand_circuit(names: VerilogNames) -> None:
-    """Add the contributions of an instance and of its inner instances."""
+    """Add the contribution statements of an instance, and of its inner instances, to the module."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
@@ -284,7 +284,7 @@ def _convert_comment(line: str) -> str:
 
 
 def _expand_instance(part: Element, outer: VerilogNames) -> None:
-    """Add the contributions of an instance within another instance."""
+    """Add the contribution statements of an inner instance to the module."""
     called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.error("no such subcircuit", part.model)
@@ -318,16 +318,14 @@ def _add_contribution(part: Element, names: VerilogNames) -> None:
     if part.kind == "c" and "ic" in part.settings:
         # The condition also tests the time, because the analysis type in ngspice is ``ic`` even in
         # the first time step.
-        search_interval = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
+        at_start = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.value(part.settings["ic"])
-        clamp = (
-            f"({search_interval} ? {format_number(HOLD_CONDUCTANCE)} : 0.0)*({across} - {start})"
-        )
+        clamp = f"({at_start} ? {format_number(HOLD_CONDUCTANCE)} : 0.0)*({across} - {start})"
         module.laws.append(f"{through} <+ {clamp};")
 
 
 def _element_contribution(part: Element, names: VerilogNames, across: str) -> str:
-    """Return the contribution statement of an element that is no behavioural source."""
+    """Return the right-hand side of the contribution of an element without an expression."""
     current = f"I({names.name_branch(part.name)})"
     match part.kind:
         case "r":
@@ -374,7 +372,7 @@ def _card_value(part: Element, names: VerilogNames) -> str:
 
 
 def _steady_value(part: Element, names: VerilogNames) -> str:
-    """Return the value of a source that is constant; a waveform of zeros is constant too."""
+    """Return the value of a constant source; a waveform of zeros is also constant."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return names.value(words[0])
@@ -390,12 +388,12 @@ def _switch_resistance(part: Element, names: VerilogNames) -> str:
     """Return the resistance of a switch as a function of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
-    worth = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
+    numbers = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
     if (
         not model
-        or worth.keys() != _SWITCH_DEFAULTS.keys()
-        or None in worth.values()
-        or worth["vh"]
+        or numbers.keys() != _SWITCH_DEFAULTS.keys()
+        or None in numbers.values()
+        or numbers["vh"]
     ):
         raise part.error("Verilog-A has no equivalent of this switch")
     on, off, level = map(names.value, itemgetter("ron", "roff", "vt")(parameters))
@@ -415,12 +413,12 @@ def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 
-def _table_expression(name: str, x: list[float], f: list[float]) -> str:
-    """Return a piecewise linear function that extrapolates its outer segments."""
+def _table_function(name: str, x: list[float], f: list[float]) -> str:
+    """Return the text of a piecewise linear function that extrapolates its outer segments."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
-    def search_interval(low: int, high: int, indent: str) -> None:
-        """Return the expression of a binary search between two points."""
+    def append_search(low: int, high: int, indent: str) -> None:
+        """Append the statements of a binary search between two points."""
         if high - low == 1:
             slope = (f[high] - f[low]) / (x[high] - x[low])
             value, start = format_number(f[low]), format_number(x[low])
@@ -429,12 +427,12 @@ def _table_expression(name: str, x: list[float], f: list[float]) -> str:
             return
         middle = (low + high) // 2
         lines.append(f"{indent}if (x < {format_number(x[middle])}) begin")
-        search_interval(low, middle, indent + "  ")
+        append_search(low, middle, indent + "  ")
         lines.append(f"{indent}end else begin")
-        search_interval(middle, high, indent + "  ")
+        append_search(middle, high, indent + "  ")
         lines.append(f"{indent}end")
 
-    search_interval(0, len(x) - 1, "      ")
+    append_search(0, len(x) - 1, "      ")
     return "\n".join([*lines, "    end", "  endfunction"])
 
 

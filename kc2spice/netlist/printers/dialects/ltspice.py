@@ -18,7 +18,7 @@ _SIDE_NAMES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP
 
 @register_dialect
 class LTspice(Dialect):
-    """Dialect of LTspice, which replaces parameters in behavioural sources by their text."""
+    """Dialect of LTspice, which inserts parameters into behavioural sources as text."""
 
     dialect = "ltspice"
     title = "LTspice"
@@ -49,7 +49,10 @@ class LTspice(Dialect):
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def element(self, part: Element) -> str:
-        """Return an element; ``Rser=0`` prevents a default series resistance of inductors."""
+        """Return the card of an element, with ``Rser=0`` for an inductor.
+
+        Without this setting, LTspice adds a series resistance to each inductor.
+        """
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
     def scaled(self, kind: str, name: str, expression: str) -> str:

@@ -16,10 +16,10 @@ from kc2spice.netlist.scope import GROUND_NAMES
 from kc2spice.netlist.spelling import format_number, format_rounded
 
 LOOP_TIME_STEP = 1e-6  # s, largest time step if a controller may close a feedback loop
-# Largest reltol of Xyce. For a relative error of contacts below 1e-5, Xyce needs a tenth of the
-# reltol of ngspice, if this is smaller.
+# Largest ``reltol`` for Xyce. For a relative error of contacts below 1e-5, Xyce needs a tenth of
+# the ``reltol`` of ngspice, and at most this value.
 MAX_RELTOL = 1e-5
-# V, half of the transition of a switch around its threshold, which Xyce requires.
+# V, half of the width of a switch's transition around its threshold. Xyce requires a transition.
 SWITCH_BAND = 1e-3
 
 
@@ -125,14 +125,14 @@ class Xyce(Dialect):
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words that measure the position of an extremum; none in a dc sweep.
+        """Return the words of the card that measures the position of an extremum.
 
-        In a dc sweep, Xyce would print a scaled position.
+        There are no words for a dc sweep, in which Xyce would print a scaled position.
         """
         return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
     def save(self, vectors: list[str]) -> str:
-        """Return the card that saves vectors."""
+        """Return the ``.print`` card that writes the ``vectors`` to the raw file."""
         kind = self.analysis.keyword.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
