@@ -105,7 +105,7 @@ def load_or_build(
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
     """Prevent other processes from building the same entry, if the system has file locks."""
-    lock = path.with_name(f".{path.stem}.lock.part")  # deleted like other .part files
+    lock = path.with_name(f".{path.stem}.lock.part")  # old .part files are deleted
     with ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -28,7 +28,7 @@ HEAT_PINS = (
     f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
     f"1 A out of {HEAT} is 1 W of all losses of the part"
 )
-SPICE_UNITS = "V", "A"  # across and through units of a simulator
+SPICE_UNITS = "V", "A"  # units of across and through quantities in simulators
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Domain:
 
     @property
     def conservative(self) -> bool:
-        """Whether the pins of the domain exchange energy."""
+        """Whether parts exchange energy through the pins of the domain."""
         return self.through is not None
 
     @property
@@ -177,7 +177,7 @@ class Domain:
 
     @property
     def quantities(self) -> Iterator[tuple[Quantity, Side]]:
-        """Quantities that a source can prescribe."""
+        """Quantities that a source can prescribe, each with its side: across or through."""
         yield self.across, "across"
         if self.through is not None:
             yield self.through, "through"
@@ -306,7 +306,10 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 
 
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
-    """Return domain and side of each quantity; the domain of a force is translation."""
+    """Return the domain and the side of each quantity, keyed by the name of the quantity.
+
+    A force belongs to two domains; here its domain is translation.
+    """
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
         for quantity, side in domain.quantities:

@@ -128,7 +128,7 @@ def format_axis_label(name: str, unit: str) -> str:
 
 
 def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Return the label of the x axis of a run, and the factor from SI units to the axis' unit.
+    """Return the label of the x axis, and the factor from SI units to the unit of the axis.
 
     ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.
     """

@@ -21,7 +21,7 @@ def gmsh_session() -> Iterator[ModuleType]:
 
     gmsh has global variables, so sessions cannot be nested. The session prints nothing, runs in one
     thread, and does not read option files of the user: the same input always gives the same mesh.
-    The signal handlers of Python remain.
+    The signal handlers of Python remain in effect.
 
     Raises
     ------

@@ -184,7 +184,7 @@ def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
 
 
 def _explain(invalid: _InvalidValue) -> Explanation:
-    """Return message, expected and hint of a validation error."""
+    """Return the texts ``message``, ``expected`` and ``hint`` for a validation error."""
     explain = _EXPLANATIONS.get(invalid.details["type"])
     if explain is None:
         return invalid.details["msg"], invalid.context.get("expected"), None
@@ -283,7 +283,7 @@ def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
 
 
 def _explain_pattern(invalid: _InvalidValue) -> Explanation:
-    """Explain a text with characters that are not allowed."""
+    """Explain the error that a string contains characters that are not allowed."""
     pattern, name = str(invalid.context["pattern"]), make_identifier(str(invalid.value), "name")
     expected = "a letter, then letters, digits and _, at most 64 in all"
     hint = f"write it without other characters: {name}"
@@ -343,7 +343,7 @@ def _explain_limit(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_reason(invalid: _InvalidValue) -> Explanation:
-    """Return the reason that a validator states."""
+    """Return the message of a ``ValueError`` that a validator raised."""
     return str(invalid.context["error"]), None, None
 
 
@@ -361,7 +361,7 @@ def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: s
 
 
 def _explain_table(invalid: _InvalidValue) -> Explanation:
-    """Explain a value in place of a table, or in place of tables by name."""
+    """Explain the error that a value is not a table, or not a set of named tables."""
     path, value = invalid.path, invalid.value
     if invalid.details["type"] == "dict_type" and isinstance(value, (list, tuple)):
         hint = f"write  {path[-1]} = {{ NAME = … }}  with a name for each entry"
@@ -389,7 +389,7 @@ def _suggest_table(invalid: _InvalidValue, form: str) -> str:
 
 
 def _explain_list(invalid: _InvalidValue) -> Explanation:
-    """Explain a value in place of a list."""
+    """Explain the error that a value is not a list."""
     value, key = invalid.value, invalid.path[-1]
     if isinstance(value, Mapping):  # a table in place of a list of tables
         keys = ", ".join(f"{name} = …" for name in value)
@@ -414,7 +414,7 @@ def _explain_list_length(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str, str, str]:
-    """Return message, expectation and hint for a list that lacks its last entries."""
+    """Return message, expected text and hint for a list that lacks its last entries."""
     entries = list(typed) if isinstance(typed, (list, tuple)) else []
     numeric = all(isinstance(item, (int, float)) for item in entries)
     count, pad = len(entries) + lacking, 0 if numeric else "VALUE"
@@ -430,7 +430,7 @@ def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str
 
 
 def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) -> str:
-    """Advise how to give a list an accepted number of entries."""
+    """Advise how to change the number of entries of a list to an accepted number."""
     if too_short or not isinstance(entries, (list, tuple)):
         word = "entry" if count == 1 else "entries"
         return f"add entries, so that the list has at least {count} {word}"

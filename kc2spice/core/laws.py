@@ -162,7 +162,7 @@ class MissingEquations:
 
 @dataclass(frozen=True)
 class LawPort:
-    """Port of a :class:`SecondOrderBody`, with one column of B and one row of C.
+    """Port of a :class:`SecondOrderBody`, with one column of its matrix B and one row of C.
 
     The input and the output of a port depend on its kind:
 
@@ -378,7 +378,7 @@ class Device(ABC):
         return e[m - k :], np.eye(k, m, m - k)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return ``out`` (k,) without its derivative."""
+        """Return the outputs ``out`` (k,) without their derivatives."""
         return self.evaluate(e, mode)[0]
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
@@ -410,7 +410,7 @@ class Device(ABC):
         return None
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the g guard functions, which are positive within the mode."""
+        """Compute the values of the guard functions, which are positive within the mode."""
         return np.empty(0)
 
     def next_mode(self, mode: Any, guard: int) -> Any:
@@ -506,7 +506,7 @@ class PortBody(Device):
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Through quantities that the device exerts."""
+        """Through quantities at the pins of the device."""
         return tuple(Flow(port.name, port.ret) for port in self._flow_ports)
 
     @property
@@ -576,12 +576,12 @@ class PortBody(Device):
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``out`` and its derivative from the relation of the mode."""
+        """Return the outputs ``out`` and their derivatives from the relation ``mode``."""
         slope = self._compute_slope(mode.H)
         return slope @ e + self._port_matrices[3] @ mode.free, slope
 
     def _compute_slope(self, H: np.ndarray) -> np.ndarray:
-        """Return the derivative of ``out`` for a response matrix ``H``."""
+        """Return the derivatives of the outputs ``out`` for a transfer matrix ``H``."""
         load, _, direct, output = self._port_matrices
         return direct + output @ H @ load
 
@@ -641,7 +641,7 @@ class SignalBlock(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Inputs of the block."""
+        """Across quantities that are inputs of the block."""
         return tuple(map(AcrossInput, self.inputs))
 
     @property

@@ -55,7 +55,7 @@ class PiecewisePolynomial(EqualByContent):
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the functions plus the constants ``by`` (m,)."""
+        """Return the polynomials of the functions plus the constants ``by`` (m,)."""
         return PiecewisePolynomial(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
@@ -128,7 +128,7 @@ class Coenergy:
     respect to the currents are the flux linkages [Wb].
     """
 
-    terms: PiecewisePolynomial  # p (..., 6)
+    terms: PiecewisePolynomial  # coefficients p, shape (..., 6)
 
     @cached_property
     def slopes(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
@@ -176,7 +176,7 @@ def _current_hessian(p: np.ndarray) -> np.ndarray:
 class EMTable(EqualByContent):
     """Table of magnetostatic finite-element solutions at several heights.
 
-    The dependence on the currents is exact, because the materials are linear.
+    The dependence of force and flux on the currents is exact, because the materials are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at the height ``y``::
 

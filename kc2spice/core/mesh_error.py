@@ -29,7 +29,7 @@ class MeshQuantity(NamedTuple):
     warning_limit: float | None = None
 
 
-MESH_QUANTITIES = {  # keyed by the last part of the error's name
+MESH_QUANTITIES = {  # keyed by the name of the mesh error without prefix
     "resonance": MeshQuantity("first resonance", "resonance_short_hz", 0.03),
     "capacitance": MeshQuantity("capacitance", "capacitance_free_f", 0.05),
     "stroke": MeshQuantity("stroke", "free_stroke_*", 0.1),

@@ -61,7 +61,7 @@ def _is_power_of_length(unit: str) -> bool:
 
 
 def _format_power_of_length(value: float, unit: str, digits: int) -> str:
-    """Return an area or a volume in the unit that gives the shortest number."""
+    """Format an area or a volume in the largest unit in which its number is at least 0.1."""
     base, slash, divisor = unit.partition("/")
     units = _POWERS_OF_LENGTH[base]
     large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
@@ -95,7 +95,7 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return the texts of a value and its limit with one prefix, as 406 kHz and 500 kHz.
+    """Return the texts of a value and its limit with one prefix, such as 406 and 500 kHz.
 
     If value and limit differ by orders of magnitude, each has a separate prefix. Values that are
     rounding errors relative to the limit, or relative to 1 for ratios, are printed as 0. Ratios,

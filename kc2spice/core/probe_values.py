@@ -224,7 +224,7 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
 
 
 def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
-    """Return the error of a position outside of the scale."""
+    """Make the error for a position that is outside of the scale."""
     expected = f"{scale.min():g} … {scale.max():g}"
     return UsageError(
         "this place is outside of the range of the analysis",

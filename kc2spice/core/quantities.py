@@ -253,8 +253,8 @@ class RefinementRule:
 
 
 class Section(BaseModel):
-    """Base class of tables of a scene file, which rejects unknown keys and later changes."""
+    """Base class of tables of a scene file; instances reject unknown keys and changes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
-    help_command: ClassVar[str] = "kc2spice scenes --keys"  # lists all keys
+    help_command: ClassVar[str] = "kc2spice scenes --keys"  # command that lists all keys
     unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # keyed by name of key

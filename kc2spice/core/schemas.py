@@ -26,7 +26,7 @@ def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldI
 
 
 def find_section(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class in a field's annotation, as ``Kick`` for ``Kick | None``.
+    """Return the section class in a field's annotation: ``Kick`` for ``Kick | None``.
 
     The result is None if the annotation contains no section class.
     """
@@ -60,6 +60,6 @@ def plausible_range_of(field: FieldInfo) -> Plausible | None:
 
 
 def join_path(path: KeyPath) -> str:
-    """Join the words and numbers of a path, such as ``layers[0].thickness``."""
+    """Join keys and list indices of a path to text, such as ``layers[0].thickness``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")

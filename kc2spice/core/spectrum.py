@@ -30,7 +30,7 @@ def find_energy_frequency(
 
     Parameters
     ----------
-    time : rising times (n,) [s].
+    time : increasing times (n,) [s].
     values : values (n,) of the signal at these times.
     constant : time constant [s] of a first-order low-pass filter through which the signal passes.
     share : share of the energy, below 1.
@@ -60,7 +60,7 @@ def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) 
 
     For a sine, the result is the frequency of the sine. The waveform is evaluated until ``stop``
     [s]. Only one period of an endless pulse train is evaluated. The first :data:`FIRST_CORNERS`
-    corners of a long train are also evaluated separately.
+    corners of a long train are also evaluated separately, and the higher frequency is returned.
     """
     if not wave.is_piecewise_linear:
         return wave.frequency

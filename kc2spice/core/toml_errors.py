@@ -25,7 +25,7 @@ from kc2spice.core.untrusted_files import (
 
 # Largest number of lines from an opening bracket to the line at which the parser stops.
 MAX_BRACKET_LINES = 40
-MAX_LINE_LENGTH = 500  # characters of a line in which mistakes are searched
+MAX_LINE_LENGTH = 500  # characters of a line that are searched for mistakes
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
 _WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key, wrong sign
@@ -122,7 +122,7 @@ _OTHER_FORMATS = {
 
 
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
-    """Return the error of a netlist or of a file of another format; None for other files."""
+    """Return the error for a netlist or a file in another format; None for all other files."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name = "a SPICE netlist"
@@ -207,12 +207,12 @@ def _is_value(text: str) -> bool:
 
 
 def _suggest_line(line: str) -> str:
-    """Return the hint that shows the corrected line."""
+    """Return the hint to write the corrected ``line``."""
     return f"write  {line.strip()}"
 
 
 def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield repairs of text, quantities and numbers that need quotes in TOML."""
+    """Yield repairs of values that are not valid TOML, such as strings without quotes."""
     line = lines[number - 1]
     bare = [m for m in _BARE_VALUE.finditer(_mask_strings(line)) if not _is_value(m[1])]
     repaired = line

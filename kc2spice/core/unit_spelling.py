@@ -49,7 +49,7 @@ _SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
 
 
 class _TypedQuantity(NamedTuple):
-    """Text of a quantity, its number and the unit after the number."""
+    """Quantity as typed: its complete text, its number, and the unit after the number."""
 
     text: str
     number: str
