@@ -147,7 +147,7 @@ def run(
     functions: Mapping[str, Function] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Result:
-    """Build, reduce, export and simulate a scene.
+    """Build and reduce the models of a scene, write its netlists and simulate the scene.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def export(
     Raises
     ------
     UsageError : an unknown dialect, or a dialect that cannot represent a part of the scene.
-    GateMissedError : the circuit of a body misses the tolerance of its reduction.
+    GateMissedError : the error of a body's circuit exceeds the tolerance of its model reduction.
 
     Examples
     --------
@@ -337,7 +337,8 @@ def verify(
     out : str or Path, optional
         Directory of ``verify.json`` and ``verify.html``. By default no files are written.
     full : bool, optional
-        Whether full models are computed to the end of the run and at all frequencies.
+        Whether to integrate the full models over up to 400 000 steps instead of 4 000, and to solve
+        large full models at all frequencies.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
 
@@ -385,8 +386,8 @@ class Result:
     scene : name of the scene or deck.
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
         name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
-    waves : arrays of shape (points,) in SI units, keyed by name. They contain one value for each
-        value of ``scale``, which is complex in an ``ac`` analysis.
+    waves : arrays of shape (points,) in SI units, keyed by name, with one value for each point of
+        the ``scale``. In an ``ac`` analysis, the arrays are complex.
     units : SI unit of each wave, by name.
     checks : checks of physical laws, such as conservation of energy, each with ``name``, ``value``,
         ``limit``, ``passed`` and ``advice``.
@@ -598,7 +599,7 @@ class Table(tuple[dict[str, Any], ...]):
         return [row[column] for row in self]
 
     def save(self, path: str | Path) -> Path:
-        """Write the table as CSV."""
+        """Write the table to a CSV file and return its path."""
         from kc2spice.workflow.sweep.row_store import write_csv
 
         write_csv({name: self[name] for name in self.columns}, Path(path))
@@ -625,7 +626,7 @@ class Table(tuple[dict[str, Any], ...]):
         return pandas.DataFrame({name: self[name] for name in self.columns})
 
     def _cells(self) -> list[list[str]]:
-        """Return the texts of all cells, row by row."""
+        """Return the texts of all cells of the table, row by row."""
         return [list(map(_summarize, row.values())) for row in self]
 
     def __repr__(self) -> str:

@@ -124,7 +124,7 @@ def _common_options(
         ),
     ] = False,
 ) -> None:
-    """Accept the options that all commands share."""
+    """Accept the options before the name of the command, such as ``--version``."""
     pass
 
 

@@ -34,7 +34,10 @@ INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
 
 @dataclass(frozen=True)
 class Caller:
-    """Recipient of the output: a program that reads JSON, or a person with or without progress."""
+    """Recipient of a command's output: with ``as_json`` a program, otherwise a person.
+
+    With ``quiet``, the command prints neither progress nor tables.
+    """
 
     as_json: bool
     quiet: bool
@@ -54,7 +57,7 @@ class Caller:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print the limits of an error budget before the first refinement."""
+    """Print the limits of an error budget; ignore the progress of all other stages."""
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
@@ -156,7 +159,7 @@ def _discard_stdout() -> None:
 
 
 def _print_error(text: str, code: int) -> NoReturn:
-    """Print an error message and end with an exit code."""
+    """Print an error message, and end the program with an exit code."""
     print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
     raise typer.Exit(code) from None
 

@@ -121,7 +121,7 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
     """Return frequencies such as ``20k`` as numbers in Hz; empty if a word is no frequency."""
-    from kc2spice.core.quantities import quantity  # imported here, because it takes long to load
+    from kc2spice.core.quantities import quantity  # imported here: slow to load
 
     with contextlib.suppress(UsageError):
         ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
@@ -238,7 +238,7 @@ def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageEr
 
 
 def _find_example(command: Any) -> str:
-    """Return the first example of the help text."""
+    """Return the first example in the help text of a command."""
     lines = [line.strip() for line in (command.epilog or "").splitlines()]
     return next((line for line in lines if line.startswith(PROGRAM)), f"{PROGRAM} --help")
 
@@ -288,7 +288,7 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
 
 
 def _find_option_limits(param: Any) -> tuple[float | None, float | None]:
-    """Return the smallest and largest value of an option."""
+    """Return the smallest and the largest accepted value of an option; None without a limit."""
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)
 
