@@ -132,7 +132,7 @@ class Element(Card):
 
     @cached_property
     def law(self) -> Tree:
-        """Expression tree of the law of a behavioural source.
+        """Expression tree of the voltage or current of a behavioural source.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class Model(Card):
 
 @dataclass(frozen=True)
 class Parameters(Card):
-    """Statement ``.param``: names and values."""
+    """Statement ``.param``: names and values of parameters."""
 
     values: Mapping[str, str]
     keyword: str = ".param"

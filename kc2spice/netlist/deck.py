@@ -36,7 +36,7 @@ class Option:
 
     @property
     def text(self) -> str:
-        """Text of the value on the card."""
+        """Text of the value on the ``.options`` card."""
         if isinstance(self.value, str):
             return self.value
         return format_rounded(self.value).removesuffix(".0")
@@ -78,10 +78,10 @@ class Command:
 
 @dataclass(frozen=True)
 class Measure:
-    """Card ``.meas`` of an analysis ``kind``, with the conversion factor to SI.
+    """Card ``.meas`` for an analysis of the ``kind``, with the conversion factor to SI units.
 
-    ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card: its only
-    word is the name of the vector that the deck prints.
+    The ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card: its
+    only word is the name of the vector that the deck prints.
     """
 
     name: str
@@ -157,7 +157,11 @@ def dc_command(source: str, first: float, last: float, points: int) -> Command:
     if abs(step) < SMALLEST_SWEEP_STEP:
         got, expected = f"{step:g}", f"at least {SMALLEST_SWEEP_STEP:g} in the source's unit"
         raise UsageError(
-            "the time steps are too small for ngspice", where=source, got=got, expected=expected
+            "the steps of this dc sweep are too small for ngspice",
+            where=source,
+            got=got,
+            expected=expected,
+            hint="write fewer points or a wider range",
         )
     return Command(
         "dc", (source, format_number(first), format_number(last + step / 4), format_number(step))
@@ -354,7 +358,7 @@ class Deck:
 
     @property
     def _available_measures(self) -> list[Measure]:
-        """Measurements that fit the deck's analysis."""
+        """Measurements for the kind of the deck's analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measure_cards(self, printed: str) -> Iterator[Line]:
@@ -440,7 +444,7 @@ class Deck:
 
 
 def _keyword_of(item: Item) -> str:
-    """Return the keyword of a card, empty for other items."""
+    """Return the keyword of a dot card; empty for other items."""
     return item.keyword if isinstance(item, Directive) else ""
 
 

@@ -249,7 +249,7 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck without the card of a part, unless the deck contains new cards.
+    """Reject a deck that lacks the instance of a part, unless the deck contains new cards.
 
     Raises
     ------
@@ -302,10 +302,10 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
         if b is None and a is not None:
             result[owner] = f"the deck has no card {a.name}"
         elif a is None or b is None or _element_content(a) != _element_content(b):
-            result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
+            result[owner] = f"its card {(a or b).name} is different"  # type: ignore[union-attr]
         elif a.ends != b.ends:  # the scene keys remain valid for an instance with other nodes
             name = key if key.startswith("x") else owner
-            result[name] = f"its card {a.name} is joined otherwise"
+            result[name] = f"its card {a.name} is connected to other nodes"
     return result
 
 

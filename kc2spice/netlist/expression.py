@@ -98,7 +98,7 @@ Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
-    """Return the expression tree of ``text``, without braces and quotes.
+    """Parse ``text`` to an expression tree; braces count as brackets, outer quotes are ignored.
 
     Raises
     ------
@@ -216,14 +216,14 @@ def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
 
 
 class ExpressionWriter:
-    """Writer that converts expression trees to text; dialects override the spelling."""
+    """Writer that converts expression trees to text; dialects override its methods."""
 
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         return text
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return the spelling of a function with its arguments."""
+        """Return the text of a function call with its arguments."""
         return f"{function}({', '.join(map(self.write, arguments))})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
@@ -266,7 +266,7 @@ class _Parser:
         """Parse the complete text as one expression; reject additional text after it."""
         tree = self.parse_choice()
         if self.text[self.at :].strip():
-            raise self.error("stray text")
+            raise self.error("unexpected text")
         return tree
 
     def error(self, what: str) -> UsageError:
@@ -292,7 +292,7 @@ class _Parser:
         return _TOKEN.match(self.text, self.at)
 
     def accept_operator(self, *ops: str) -> str | None:
-        """Consume the next token if it is one of the operators."""
+        """Consume and return the next token if it is one of the operators ``ops``."""
         match = self.peek_token()
         if match and match["op"] in ops:
             self.at = match.end()
@@ -300,7 +300,7 @@ class _Parser:
         return None
 
     def expect_operator(self, op: str) -> None:
-        """Consume an operator; raise an error if it is missing."""
+        """Consume the operator ``op``; raise an error if the next token is another one."""
         if self.accept_operator(op) is None:
             raise self.error(f"{op} expected")
 
@@ -334,7 +334,7 @@ class _Parser:
         """Parse a number, a name, a call or an expression in parentheses."""
         match = self.peek_token()
         if match is None:
-            raise self.error("something expected")
+            raise self.error("a number, a name or a bracket expected")
         self.at = match.end()
         if match["number"]:
             return Number(_remove_scale_factor(match["number"], match["suffix"]))
@@ -345,7 +345,7 @@ class _Parser:
             self.expect_operator(closing)
             return inner
         self.at = match.start()
-        raise self.error("something expected")
+        raise self.error("a number, a name or a bracket expected")
 
     def parse_name_or_call(self, name: str) -> Tree:
         """Parse a name, or a function call if a parenthesis follows the name."""
@@ -374,7 +374,7 @@ def _remove_scale_factor(literal: str, suffix: str) -> str:
     if suffix.lower().startswith("mil"):
         return repr(float(plain) * MIL)
     power = next(power for key, power in PREFIXES.items() if suffix.lower().startswith(key))
-    return repr(float(Decimal(plain).scaleb(power)))  # only one rounding
+    return repr(float(Decimal(plain).scaleb(power)))  # rounds only once
 
 
 # --- vectors of results: voltages of nodes and currents of devices, also inside instances ---

@@ -144,7 +144,7 @@ class _CircuitTranslator:
         """Return the circuit in the syntax of ngspice."""
         groups = [(item, tuple(self._translate_item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item, group in groups:  # here, self.metered is complete
+        for item, group in groups:  # all translations have added their entries to self.metered
             if isinstance(item, Element) and item.key in self.metered:
                 items += _add_meter(item, group, self.metered[item.key])
             else:
@@ -212,9 +212,9 @@ class _CircuitTranslator:
         model = self._resolve_model(model)
         kind = model.type.lower()
         if self._is_ideal_diode(model):
-            return ()  # its diodes are translated to current sources
+            return ()  # diodes of this model are translated to current sources
         if self._is_gradual_switch(model):
-            return ()  # its switches are translated to current sources
+            return ()  # switches of this model are translated to current sources
         if kind in PSPICE_SWITCHES and self.syntax == "pspice":  # switch with hysteresis
             model = replace(model, type=PSPICE_SWITCHES[kind])
         if kind in ("sw", "csw"):
@@ -256,11 +256,11 @@ class _CircuitTranslator:
             "laplace" in words or element.expression.lower().startswith("laplace")
         ):
             raise element.error(
-                "a Laplace transform has no equal in ngspice's time domain", hint=LAPLACE_HINT
+                "a Laplace transform has no equivalent in ngspice", hint=LAPLACE_HINT
             )
         if element.kind == "i" and words.endswith(" load"):
             raise element.error(
-                "a load without current at 0 V has no equal in ngspice",
+                "a load without current at 0 V has no equivalent in ngspice",
                 hint="delete load from this line, or replace the source by a resistor",
             )
         if self.syntax == "ltspice":
@@ -326,7 +326,7 @@ class _CircuitTranslator:
             across = {"rpar": "r", "cpar": "c"}.get(name)
             if across is None:
                 raise element.error(
-                    f"{name} of a behavioural source has no equal in ngspice",
+                    f"{name} of a behavioural source has no equivalent in ngspice",
                     hint=LAPLACE_HINT if name == "laplace" else f"delete {name} from this line",
                 )
             card = f"{across.upper()}{element.name}_par"
@@ -341,7 +341,7 @@ class _CircuitTranslator:
         """Translate an inductor with the parasitics ``Rser``, ``Rpar`` and ``Cpar``."""
         if "flux" in element.settings:
             raise element.error(
-                "a flux by an expression has no equal in ngspice",
+                "a flux by an expression has no equivalent in ngspice",
                 hint="write a constant inductance in place of the expression",
             )
         ideal = element.key in self.coupled or self.syntax == "pspice"
@@ -383,7 +383,7 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
         raise element.error(
-            "a charge by an expression has no equal in ngspice",
+            "a charge by an expression has no equivalent in ngspice",
             hint="write a constant capacitance in place of the expression",
         )
     return _expand_parasitics(element, settings, ("lser", "rlshunt"))
@@ -393,7 +393,7 @@ def _translate_voltage(element: Element) -> Iterable[Item]:
     """Translate a voltage source with the parasitics ``Rser`` and ``Cpar``."""
     if any(word.lower().startswith("wavefile") for word in element.values):
         raise element.error(
-            "a source out of a sound file has no equal in ngspice",
+            "a source that reads a sound file has no equivalent in ngspice",
             hint="write the waveform as  PWL(TIME VALUE TIME VALUE …)",
         )
     return _expand_parasitics(element, element.settings, ())
@@ -440,9 +440,9 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
 
     The smooth ramp ``r(x, e)`` is zero for negative x, ``x^2 / (2 e)`` for x below e, and ``x -
     e/2`` for larger x. The current of the diode at the voltage v is ``i = goff v + (gon - goff) r(v
-    - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``. It is limited to ``Ilimit tanh(i /
-    Ilimit)`` for positive ``i``, and with ``RevIlimit`` for negative ``i``. ``m`` diodes are in
-    parallel, and ``n`` diodes in series.
+    - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``. A positive current is limited to
+    ``Ilimit tanh(i / Ilimit)``, and a negative current likewise with ``RevIlimit``. ``m`` diodes
+    are in parallel, and ``n`` diodes in series.
     """
     unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
     if unknown:
@@ -543,7 +543,7 @@ def _require_simple_switch(model: Model) -> None:
     if width is not None and width < 0:
         got = f"{name}={words[name]}"
         raise model.error(
-            "a switch that opens gradually has no equal in ngspice",
+            "a switch that opens gradually has no equivalent in ngspice",
             got,
             hint=f"write  {name}=0",
         )
@@ -616,7 +616,7 @@ class _ExpressionTranslator:
         return tree
 
     def _find_meter(self, name: str) -> str:
-        """Return the source that measures the current of an element."""
+        """Return the name of the source that measures the current of an element."""
         element = self.scope.elements.get(name.lower())
         if element is None or element.kind not in _METERED_KINDS:
             return name
@@ -628,7 +628,7 @@ class _ExpressionTranslator:
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
     def _translate_call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
-        """Translate a function call."""
+        """Translate a function call to an ngspice expression tree."""
         if function in self.scope.functions:  # a user's .func replaces the built-in function
             return Call(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
@@ -654,7 +654,7 @@ class _ExpressionTranslator:
             return base if exponent == 1 else Binary("*", base, Binary("^", base, even))
         if _is_non_negative(base):
             return Binary("^", base, power)
-        problem = "a power with a base that can be negative has another value in ngspice"
+        problem = "a power with a base that can be negative has a different value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
         raise self.card.error(
             problem,

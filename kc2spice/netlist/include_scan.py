@@ -171,7 +171,7 @@ class _Reader:
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
-        """Read a file within the size limits of the circuit."""
+        """Return the text of a file; reject a file that exceeds the limits of the circuit."""
         self.files += 1
         if self.files > MAX_INCLUDED_FILES:
             expected = f"at most {MAX_INCLUDED_FILES}"
@@ -592,7 +592,7 @@ def _find_line_faults(text: str) -> Iterator[str]:
     if match := _DISGUISED_COMMAND.match(text):
         yield f"has a {match[1].lower()} command"
     if _UNUSUAL_BLANK.search(split_comment(text)[0]):
-        yield "has blanks that the simulator does not take for any"
+        yield "has unusual blanks, which the simulator does not treat as blanks"
     if "`" in text:
         yield "has a back quote, which runs a program"
 
@@ -618,7 +618,7 @@ def _require_known_command(card: Statement) -> None:
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:
-    """Yield the faults of a card, with all its continuation lines."""
+    """Yield the faults of a card, which includes all its continuation lines."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in ALLOWED_COMMANDS:
@@ -629,7 +629,7 @@ def _find_card_faults(card: Statement) -> Iterator[str]:
         for word in card.words[1:]:
             name = word.partition("=")[0].lower()
             if name not in ALLOWED_OPTIONS:
-                yield f"sets the option {name[:40]}, which is more than one of accuracy"
+                yield f"sets the option {name[:40]}, which is not an accuracy option"
     if _FILE_WORDS.search(card.written):
         yield "reads or writes a file"
     if _PROGRAM_WORDS.search(card.written):

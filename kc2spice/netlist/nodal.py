@@ -151,7 +151,7 @@ def _number_unknowns(
 def _split_columns(
     entries: Sequence[tuple[int, int, float]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows, columns and values of matrix entries as arrays."""
+    """Return row indices, column indices and values of matrix entries as arrays."""
     i, j, v = zip(*entries, strict=True) if entries else ((), (), ())
     return np.array(i, int), np.array(j, int), np.array(v, float)
 

@@ -41,7 +41,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
 
 
 def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """Describe an inner node by the title of its instance and by the pin it belongs to.
+    """Describe an inner node by the title of its instance and by the pin to which it belongs.
 
     The name of an inner node or element ends with the name of a pin: ``fring0`` belongs to
     ``ring0``.

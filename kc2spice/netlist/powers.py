@@ -29,7 +29,7 @@ class PowerTerm(NamedTuple):
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the two results."""
+        """Names of the results that the power depends on."""
         return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 
 

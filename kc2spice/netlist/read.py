@@ -195,7 +195,7 @@ def _read_items(
 
 
 def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
-    """Read a subcircuit that begins with the card ``s``."""
+    """Read the subcircuit whose ``.subckt`` card is ``s``."""
     _, *operands = s.plain_words
     if not operands:
         raise s.error("this subcircuit has no name", hint="write  .subckt NAME PIN1 PIN2")
@@ -273,7 +273,7 @@ def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
 
 
 def _is_assignment(word: str) -> bool:
-    """Return whether a word is an assignment."""
+    """Return whether a word is an assignment ``name=value``."""
     name, equals, _ = word.partition("=")
     return bool(equals) and name.isidentifier()
 
@@ -294,7 +294,8 @@ def parse_element(s: Statement) -> Element:
         plain, assigned = _separate_assignments(rest)
         if not plain:
             raise s.error(
-                "instance names no subcircuit", hint=f"write  {name} NODE1 NODE2 SUBCIRCUIT"
+                "the name of the subcircuit is missing",
+                hint=f"write  {name} NODE1 NODE2 SUBCIRCUIT",
             )
         assignments = _read_assignments(assigned, s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)

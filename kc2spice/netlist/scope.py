@@ -147,7 +147,7 @@ def _fill_scope(
 
 
 def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
-    """Raise UsageError if two definitions of a name differ."""
+    """Raise UsageError if another file contains a different definition of the same name."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
     if place.file != card.file and first != value:

@@ -91,7 +91,7 @@ def parameter_defaults(deck: Deck) -> dict[str, float]:
     for part in deck.parts:
         for library, item in parameter_owners(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # an expression is no number
+                with contextlib.suppress(ValueError):  # the default is an expression
                     result[f"{library}.{name}"] = float(text)
     return result
 
@@ -198,7 +198,7 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values with a prefix before each key."""
+    """Return the mapping ``values`` with ``prefix`` before each key."""
     return {f"{prefix}{key}": value for key, value in values.items()}
 
 

@@ -117,7 +117,7 @@ class Dialect(Printer, ABC):
 
     @cached_property
     def analysis(self) -> Directive:
-        """Card of the deck's analysis; for a library alone, a transient from initial states."""
+        """Analysis card of the deck; for a library alone, a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
         analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
@@ -147,7 +147,7 @@ class Dialect(Printer, ABC):
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
-            case ".print":  # other simulators print the vectors of .save
+            case ".print":  # other simulators write the vectors of ``.save``
                 return ""
             case ".options" | ".option" | ".opt":
                 return self.options(item.words)
@@ -308,7 +308,7 @@ class Dialect(Printer, ABC):
         return f"V({','.join(self.node(name.split('.')) for name in result.names)})"
 
     def node(self, path: list[str]) -> str:
-        """Return the name of a node inside instances."""
+        """Return the name of a node inside nested instances, whose names are in ``path``."""
         return ":".join(path)
 
     def device(self, trace: Trace) -> str:
@@ -333,7 +333,7 @@ class Dialect(Printer, ABC):
         return known.get(text.lower(), text)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function call with the same meaning, such as ``table`` for ``pwl``."""
+        """Return an equivalent function call in this dialect, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
@@ -410,7 +410,7 @@ def _number_of_condition(tree: Tree) -> Tree:
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Merge all cards of each command in ``joined`` into one card.
+    """Return ``items`` with all cards of each command in ``joined`` merged into one card.
 
     The merged card replaces the first card of the command, and has the comments of all cards of the
     command.

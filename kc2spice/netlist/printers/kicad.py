@@ -65,7 +65,7 @@ _MARK_SYMBOLS = {  # reference, title, drawing, pin, position of the text, kind 
 
 @dataclass(frozen=True)
 class Symbol:
-    """Symbol with a drawing, text fields and pins at ``places``.
+    """KiCad symbol with a drawing, text fields, and pins at ``places``.
 
     The texts of reference and value begin at the position ``text``, in two lines. ``half`` contains
     half of the width and half of the height [mm] of a symbol that is drawn as a box.
@@ -83,12 +83,12 @@ class Symbol:
 
 
 def print_symbol_library(symbols: Iterable[Symbol]) -> str:
-    """Return the text of a symbol library."""
+    """Return the text of a KiCad symbol library with the ``symbols``."""
     return render_template("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
 def draw_part_symbol(part: Subcircuit) -> Symbol:
-    """Return the symbol of a part.
+    """Return the KiCad symbol of a part.
 
     The user can change the parameters in the field ``Sim.Params``; the default values are exactly
     the values in the library.
@@ -240,7 +240,7 @@ def _simulation_commands(top: Scope) -> Iterator[str]:
 
 
 def _unique_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Return the symbols, each name only once."""
+    """Return the symbols without repetitions of a name."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 

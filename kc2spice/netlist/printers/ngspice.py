@@ -24,7 +24,7 @@ from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
 
 # names in expressions that are not parameters and therefore need no braces
 _BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
-_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # the words are numbers
+_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
 _TABLE_WIDTH = 96
 
 
@@ -51,7 +51,7 @@ class Printer(ExpressionWriter):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return the text of one item without its preceding comments; may be empty."""
+        """Return the text, possibly empty, of one item without its preceding comments."""
         match item:
             case Element():
                 return self.element(item)

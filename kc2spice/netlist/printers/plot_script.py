@@ -14,7 +14,7 @@ def write_plot_script(deck: Deck) -> dict[str, str]:
     """Return the plot script of a deck as ``{"NAME_plot.sp": text}``.
 
     The script opens one window for each unit of the results. The result is empty if the deck has no
-    curves. ngspice runs a file whose first line is ``*ng_script`` as commands.
+    curves. If the first line of a file is ``*ng_script``, ngspice runs the file as commands.
     """
     axis = _PLOT_AXES.get(deck.command.kind)
     windows: dict[str, list[str]] = {}

@@ -17,9 +17,9 @@ _CONTROLLED_KINDS = frozenset("egs")  # elements whose last two nodes draw no cu
 
 @dataclass(frozen=True)
 class Place:
-    """Pin of a symbol, whose free end is at the grid position ``(x, y)``, y upwards.
+    """Pin of a symbol, with its free end at the grid position ``(x, y)``.
 
-    The free end is at a distance ``length`` from the body of the symbol.
+    The y axis points upwards. The free end is at a distance ``length`` from the body of the symbol.
     """
 
     number: int
@@ -40,7 +40,7 @@ class Box:
 
 
 def arrange_pins(part: Subcircuit) -> Box:
-    """Return the symbol of ``part``, with pins numbered in the order of ``.subckt``.
+    """Arrange the pins on the symbol of ``part``, numbered in the order of ``.subckt``.
 
     On the symbol of an actuator, electrical pins are on the left and mechanical pins on the right.
     On electronic parts, inputs are on the left and outputs on the right. On mechanical parts,

@@ -71,7 +71,7 @@ _RESERVED_NAMES = frozenset(_RESERVED_WORDS.split())
 _NO_EQUIVALENT = "Verilog-A has no equivalent of this card"
 HOLD_CONDUCTANCE = 1e9  # S, enforces an initial condition; larger than all other conductances
 SOURCE_RESISTANCE = 1e-15  # Ohm, in series with a voltage source
-_OUTPUT_CARDS = (".print", ".meas")  # cards that print vectors, whose nodes a module may lack
+_OUTPUT_CARDS = (".print", ".meas")  # cards of vectors whose nodes a module may lack
 _FUNCTION_TEMPLATES = {
     "uramp": "max(0.0, {0})",
     "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))",
@@ -140,7 +140,7 @@ class VerilogNames(ExpressionWriter):
         return self.law(parse_expression(text, where=self.where))
 
     def law(self, tree: Tree) -> str:
-        """Return the Verilog-A text of an expression, in parentheses if it is no factor."""
+        """Return the Verilog-A text of an expression, in parentheses if this text is no factor."""
         return self.write(tree, 5)
 
     def write(self, tree: Tree, level: int = 0) -> str:

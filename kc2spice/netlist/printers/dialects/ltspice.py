@@ -28,10 +28,10 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-    omits_braces = True  # True while parameters are written without braces
+    omits_braces = True  # whether parameters are written without braces
 
     def name(self, text: str) -> str:
-        """Return a name; braces around a parameter separate its sign from an operator."""
+        """Return a name; braces separate the sign of a parameter's value from an operator."""
         word = super().name(text)
         plain = self.omits_braces or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"

@@ -28,9 +28,9 @@ _SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}  # name of the scale on measuremen
 
 @register_dialect
 class Xyce(Dialect):
-    """Dialect of Xyce, whose function ``uramp`` lacks the chain rule (release 7.5).
+    """Dialect of Xyce, which differentiates ``uramp`` without the chain rule (release 7.5).
 
-    Of two cards ``.options timeint``, Xyce uses only the second.
+    If a deck has two cards ``.options timeint``, Xyce uses only the second card.
     """
 
     dialect = "xyce"
@@ -113,7 +113,7 @@ class Xyce(Dialect):
         return f"{quantity}={{{self.write(part.law)}}}"
 
     def scaled(self, kind: str, name: str, expression: str) -> str:
-        """Return a measurement card with an expression."""
+        """Return a measurement card whose value is an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
 
     def magnitude(self, vector: str) -> str:
