@@ -33,9 +33,9 @@ def name_options(error: UsageError, names: Iterable[str]) -> None:
     --band: no band
       next:     add --band 0 20e3, or leave out --order
     """
-    known = "|".join(map(re.escape, names))
-    assigned = re.compile(rf"(?<![\w.\-])(?P<name>{known})={_ARGUMENT_VALUE}")
-    alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({known})\b(?!=)")
+    pattern = "|".join(map(re.escape, names))
+    assigned = re.compile(rf"(?<![\w.\-])(?P<name>{pattern})={_ARGUMENT_VALUE}")
+    alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({pattern})\b(?!=)")
 
     def write_option(found: re.Match[str]) -> str:
         value = found["item"] or found["value"]
@@ -48,7 +48,7 @@ def name_options(error: UsageError, names: Iterable[str]) -> None:
         return re.sub(r"\bargument(s?) --", r"option\1 --", options)
 
     _translate(error, translate)
-    if error.where is not None and re.fullmatch(known, error.where):
+    if error.where is not None and re.fullmatch(pattern, error.where):
         error.where = f"--{error.where}"
 
 
@@ -72,13 +72,13 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
         first, blank, second = value.partition(" ") if value[0] != "'" else (value, "", "")
         if name == _PAIR_OPTION:
             return f"{noun}{name}=({first}, {second})"
-        written = f"['{first}']" if name == _LIST_OPTION else first
-        return f"{noun}{name}={written}{blank}{second}"
+        value_text = f"['{first}']" if name == _LIST_OPTION else first
+        return f"{noun}{name}={value_text}{blank}{second}"
 
     _translate(error, lambda text: _OPTION.sub(write_argument, text))
     if error.where is not None:
-        place = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
-        error.where = place.removeprefix("--")
+        location = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
+        error.where = location.removeprefix("--")
 
 
 def _translate(error: UsageError, translate: Callable[[str], str]) -> None:

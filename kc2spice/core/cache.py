@@ -91,15 +91,15 @@ def load_or_build(
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
     path = cache_dir() / kind / f"{_compute_digest(key, modules)}.entry"
-    answer = _load_entry(path, known)
-    if answer is None:
+    entry = _load_entry(path, known)
+    if entry is None:
         with _lock_entry(path):
             # another process may have stored the entry while this process waited for the lock
-            answer = _load_entry(path, known)
-            if answer is None:
+            entry = _load_entry(path, known)
+            if entry is None:
                 _store_result(path, result := build(), known)
                 return result
-    return cast(T, answer[0])
+    return cast(T, entry[0])
 
 
 @contextmanager

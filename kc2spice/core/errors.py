@@ -218,31 +218,31 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
         return None  # the time of a comparison is proportional to the square of the length
     choices = list(choices)
     owner, dot, _ = word.partition(".")
-    same = [choice for choice in choices if dot and choice.startswith(f"{owner}.")]
-    if same and len(same) < len(choices):  # names of the same part are more likely
-        near_same = did_you_mean(word, same)
+    same_owner = [choice for choice in choices if dot and choice.startswith(f"{owner}.")]
+    if same_owner and len(same_owner) < len(choices):  # names of the same part are more likely
+        suggestion = did_you_mean(word, same_owner)
         last = word.rpartition(".")[2].lower()
-        begun = [item for item in same if last.startswith(item.rpartition(".")[2].lower())]
-        if near_same or begun:
-            return near_same or f"did you mean {begun[0]!r}?"
+        prefixes = [item for item in same_owner if last.startswith(item.rpartition(".")[2].lower())]
+        if suggestion or prefixes:
+            return suggestion or f"did you mean {prefixes[0]!r}?"
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)
     lower = {leaf.lower(): leaf for leaf in leaves}
     last = word.rpartition(".")[2].lower()
-    near = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
-    if not near:  # spelling of a part number, as 7BB-20-6 for buzzer_7bb_20_6
-        plain = normalise_word(word)
-        near = [
+    similar = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
+    if not similar:  # spelling of a part number, as 7BB-20-6 for buzzer_7bb_20_6
+        normalised = normalise_word(word)
+        similar = [
             leaf
             for leaf in leaves
-            if len(plain) >= MIN_FRAGMENT_LENGTH and plain in normalise_word(leaf)
+            if len(normalised) >= MIN_FRAGMENT_LENGTH and normalised in normalise_word(leaf)
         ][:1]
-    if not near:  # a longer form of a name, such as topelectrode for topel
-        near = [
+    if not similar:  # a longer form of a name, such as topelectrode for topel
+        similar = [
             leaf for leaf in leaves if len(leaf) >= MIN_FRAGMENT_LENGTH and last.startswith(leaf)
         ][:1]
-    return f"did you mean {leaves[near[0]]!r}?" if near else None
+    return f"did you mean {leaves[similar[0]]!r}?" if similar else None
 
 
 def normalise_word(word: str) -> str:

@@ -80,11 +80,11 @@ def import_optional(module: str, where: str) -> Any:
             return import_module(module)
     except ImportError as error:
         name = error.name or ""
-        absent = isinstance(error, ModuleNotFoundError) and name.partition(".")[0] == top
-        problem = "is not installed" if absent else "cannot be loaded"
+        is_missing = isinstance(error, ModuleNotFoundError) and name.partition(".")[0] == top
+        problem = "is not installed" if is_missing else "cannot be loaded"
         raise MissingToolError(
             f"{library.package} {problem}",
             where=where,
-            got=None if absent else str(error) or type(error).__name__,
+            got=None if is_missing else str(error) or type(error).__name__,
             hint=library.install,
         ) from None

@@ -38,9 +38,9 @@ def suggest_file(path: Path) -> str | None:
     with contextlib.suppress(OSError, ValueError):
         names = sorted(item.name for item in path.parent.iterdir() if item.is_file())
     suffix = path.suffix.lower()
-    same = [name for name in names if name.lower().endswith(suffix)]
-    others = [name for name in names if not name.endswith(".toml")]
-    return did_you_mean(path.name, same) or did_you_mean(path.name, others)
+    same_suffix = [name for name in names if name.lower().endswith(suffix)]
+    other_formats = [name for name in names if not name.endswith(".toml")]
+    return did_you_mean(path.name, same_suffix) or did_you_mean(path.name, other_formats)
 
 
 @contextmanager
@@ -116,9 +116,9 @@ def _publish_files(work: Path, out: Path) -> None:
         for name in files:
             if _rank_main_file(name) >= 0:
                 (out / name).unlink(missing_ok=True)
-        for old in stale:
+        for stale_name in stale:
             with contextlib.suppress(OSError):
-                (out / old).unlink()
+                (out / stale_name).unlink()
         for name in sorted(files, key=lambda path: (_rank_main_file(path), path)):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(work / name, out / name)
@@ -168,8 +168,10 @@ def list_earlier_files(out: Path) -> set[str]:
     hashes = record.get("sha256") if isinstance(record, dict) and "scene" in record else None
     if not isinstance(hashes, dict):
         return set()
-    plain = filter(_SAFE_NAME.fullmatch, hashes)
-    present = (name for name in plain if (out / name).is_file() and not (out / name).is_symlink())
+    safe_names = filter(_SAFE_NAME.fullmatch, hashes)
+    present = (
+        name for name in safe_names if (out / name).is_file() and not (out / name).is_symlink()
+    )
     return {RESULT_FILE, *(name for name in present if hashes[name] == _hash_file(out / name))}
 
 

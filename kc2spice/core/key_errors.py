@@ -87,10 +87,10 @@ def describe_invalid(
     the missing key. ``at`` is the path of the table, ``also`` are accepted keys in addition to the
     keys of the ``schema``, and ``table`` is the table as typed.
     """
-    every = error.errors()
-    result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
-    result = _select_union_member(every, result, table)
-    missing = [str(item["loc"][-1]) for item in every if item["type"] == "missing"
+    all_errors = error.errors()
+    result = next((item for item in all_errors if item["type"] == "extra_forbidden"), all_errors[0])
+    result = _select_union_member(all_errors, result, table)
+    missing = [str(item["loc"][-1]) for item in all_errors if item["type"] == "missing"
                and item["loc"][:-1] == result["loc"][:-1]]  # fmt: skip
     path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
     typed = _find_typed_value(table, path, result["input"])
@@ -130,31 +130,31 @@ def validate(
     """
     if isinstance(table, schema):
         return table
-    plain = dict(table) if isinstance(table, Mapping) else table
+    typed = dict(table) if isinstance(table, Mapping) else table
     try:
-        return schema.model_validate(plain, context=context)
+        return schema.model_validate(typed, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, table=plain)
+        path, words = describe_invalid(error, schema, table=typed)
         inside = f"{where} " if where.endswith(":") else f"{where}."
-        place = inside + join_path(path) if path else where.removesuffix(":")
-        raise UsageError(where=place, **words) from None
+        location = inside + join_path(path) if path else where.removesuffix(":")
+        raise UsageError(where=location, **words) from None
 
 
 def _select_union_member(
-    every: Sequence[ErrorDetails], first: ErrorDetails, table: object
+    all_errors: Sequence[ErrorDetails], first: ErrorDetails, table: object
 ) -> ErrorDetails:
     """Select the error of the union member that is most similar to the typed value.
 
     A string is compared with choices, a list with lists and a table with tables.
     """
-    place = next((k for k, step in enumerate(first["loc"]) if _is_union_member(step)), None)
-    if place is None:
+    position = next((k for k, step in enumerate(first["loc"]) if _is_union_member(step)), None)
+    if position is None:
         return first
-    stem = first["loc"][:place]
+    stem = first["loc"][:position]
     typed = _find_typed_value(table, stem, None)
-    for item in every:
-        if item["loc"][:place] == stem and len(item["loc"]) > place:
-            member = str(item["loc"][place])
+    for item in all_errors:
+        if item["loc"][:position] == stem and len(item["loc"]) > position:
+            member = str(item["loc"][position])
             if isinstance(typed, str) and member.startswith("literal"):
                 return item
             if isinstance(typed, (list, tuple)) and member.startswith(("tuple", "list")):
@@ -198,8 +198,8 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
     path, schema = invalid.place, invalid.schema
     table = _find_schema(schema, path)
     fields = [*table.model_fields, *(invalid.also if len(path) == 1 else ())]
-    word, every = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
-    elsewhere = (item for item in every if item.rpartition(".")[2] == word)
+    word, all_keys = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
+    elsewhere = (item for item in all_keys if item.rpartition(".")[2] == word)
     hint = (
         _list_replacement_hints(table).get(word)
         or _suggest_key(word, fields)
@@ -264,9 +264,9 @@ def _explain_missing(
         value = f'"{choices[0]}"' if choices else _show_example(field)
         if choices:
             listed = f"one of {list_candidates('', map(str, choices))}"
-    place = f"  to {table}" if table else ""
+    destination = f"  to {table}" if table else ""
     expected = f"a number in {unit}, or a string with a unit such as {value}" if unit else listed
-    return expected, f"add  {full_path[-1]} = {value}{place}"
+    return expected, f"add  {full_path[-1]} = {value}{destination}"
 
 
 def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
@@ -530,9 +530,9 @@ def _help_command(schema: type[BaseModel]) -> str | None:
 
 def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
     """Return the first section class inside of an annotation, at any depth."""
-    found = find_section(annotation)
-    inner = map(_find_inner_section, get_args(annotation)) if found is None else ()
-    return found or next(filter(None, inner), None)
+    section = find_section(annotation)
+    inner = map(_find_inner_section, get_args(annotation)) if section is None else ()
+    return section or next(filter(None, inner), None)
 
 
 def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:

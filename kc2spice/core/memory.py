@@ -23,12 +23,12 @@ def available_bytes(root: Path = Path("/")) -> float:
     Without other limits, the result is the free memory of the machine. The limits are read from
     files in ``root``, the root directory of the file system.
     """
-    known = [
+    limits = [
         *_free_memory_of_machine(root),
         *_free_memory_of_control_groups(root),
         *_free_memory_below_limits(root),
     ]
-    return max(min(known), 0.0) if known else _physical_bytes()
+    return max(min(limits), 0.0) if limits else _physical_bytes()
 
 
 def _physical_bytes() -> float:
@@ -49,8 +49,8 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
     Reclaimable pages of the file cache count as free memory.
     """
     for line in _read_text(root / "proc/self/cgroup").splitlines():
-        number, _, rest = line.partition(":")
-        controllers, _, path = rest.partition(":")
+        number, _, fields = line.partition(":")
+        controllers, _, path = fields.partition(":")
         if number == "0" and not controllers:
             mount, names = root / "sys/fs/cgroup", ("memory.max", "memory.current")
         elif "memory" in controllers.split(","):

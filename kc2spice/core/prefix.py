@@ -46,10 +46,10 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if not _accepts_prefix(unit):
         return f"{value:.{digits}g} {_SHOWN_UNITS.get(unit, unit)}".strip()
     if unit in _PREFIXED_UNITS:
-        plain, factor = _PREFIXED_UNITS[unit]
+        base_unit, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
             return f"{value:.{digits}g} kg"  # a prefix such as in Gg is not usual
-        return format_quantity(factor * value, plain, digits)
+        return format_quantity(factor * value, base_unit, digits)
     if _is_power_of_length(unit):
         return _format_power_of_length(value, unit, digits)
     return _format_with_prefix(value, unit, digits, prefix_power(value))
@@ -109,18 +109,18 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     ('0.0293 % of the energy exchanged', '10 %')
     """
     prefixed = _accepts_prefix(unit)
-    plain = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
+    scalable = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
     if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0
     if unit.startswith(_RATIO_WORDS):
         words = unit.removeprefix("relative")
         joint = "" if words.startswith(",") else " "
         return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
-    if value == 0.0 and plain and math.isfinite(limit):
+    if value == 0.0 and scalable and math.isfinite(limit):
         power = prefix_power(limit)
         return f"0 {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}", format_quantity(limit, unit, 3)
-    near = value and limit and 1e-3 < abs(limit / value) < 1e4
-    if not plain or not near or not math.isfinite(value + limit):
+    comparable = value and limit and 1e-3 < abs(limit / value) < 1e4
+    if not scalable or not comparable or not math.isfinite(value + limit):
         return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     power = prefix_power(value)
     digits_text = f"{abs(limit) / 10.0**power:.10g}"

@@ -112,8 +112,8 @@ def _clip_to_window(
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
     ends = np.interp([low, high], scale, values)
-    read = np.concatenate([ends[:1], values[inside], ends[1:]])
-    return at[::direction], read[::direction]
+    clipped = np.concatenate([ends[:1], values[inside], ends[1:]])
+    return at[::direction], clipped[::direction]
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
@@ -146,18 +146,18 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
     10.000000 1.000000
     """
     k = int(size.argmax())
-    place, largest = float(frequency[k]), float(size[k])
+    position, largest = float(frequency[k]), float(size[k])
     if not 0 < k < size.size - 1 or not size[k - 1 : k + 2].all():
-        return place, largest
+        return position, largest
     # 1/|y|^2 = (1 + linear x + square x^2) / largest^2 at the distance x from the largest point
-    x = frequency[[k - 1, k + 1]] - place
+    x = frequency[[k - 1, k + 1]] - position
     slopes = ((largest / size[[k - 1, k + 1]]) ** 2 - 1) / x
     square = (slopes[1] - slopes[0]) / (x[1] - x[0])
     linear = slopes[1] - square * x[1]
     least = 1 - linear**2 / (4 * square) if square > 0 else 0.0
     if least < 1 / (1 + MAX_CORRECTION) ** 2:
-        return place, largest
-    return float(place - linear / (2 * square)), float(largest / math.sqrt(least))
+        return position, largest
+    return float(position - linear / (2 * square)), float(largest / math.sqrt(least))
 
 
 def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:

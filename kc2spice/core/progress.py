@@ -120,12 +120,12 @@ class ConvergenceTimer:
         Only the second half of the errors is used, because the convergence of many iterations
         accelerates.
         """
-        known = [error for error in self._errors if math.isfinite(error) and error > 0]
-        known = known[(len(known) - 1) // 2 :]
+        errors = [error for error in self._errors if math.isfinite(error) and error > 0]
+        errors = errors[(len(errors) - 1) // 2 :]
         met = next((k for k, error in enumerate(reversed(self._errors)) if error > self._target), 0)
-        if len(known) > 1 and known[-1] < known[0]:
-            rate = math.log(known[0] / known[-1]) / (len(known) - 1)
-            steps = math.ceil(max(math.log(known[-1] / self._target) / rate, 0.0))
+        if len(errors) > 1 and errors[-1] < errors[0]:
+            rate = math.log(errors[0] / errors[-1]) / (len(errors) - 1)
+            steps = math.ceil(max(math.log(errors[-1] / self._target) / rate, 0.0))
             # the first step within the target counts as a confirmation
             return max(steps + self._confirmations - (1 if steps else met), 0)
         return max(self._usual - len(self._errors), 1)

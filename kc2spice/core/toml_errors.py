@@ -80,18 +80,18 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
             f"characters, and tables and arrays nested at most {MAX_NESTING} deep",
             hint=f"shorten {label} until it is within these limits",
         )
-    if (other := _make_other_format_error(text, label)) is not None:
-        return other
+    if (format_error := _make_other_format_error(text, label)) is not None:
+        return format_error
     # Only the first part of a long line is searched, because the time of a search grows with the
     # square of the length.
     lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
-    known = _make_duplicate_error(lines, number, str(error), label) or _make_inline_table_error(
-        lines, number, label
-    )
-    known = known or _make_incomplete_error(lines, number, label)
-    if known is not None:
-        return known
+    error_by_pattern = _make_duplicate_error(
+        lines, number, str(error), label
+    ) or _make_inline_table_error(lines, number, label)
+    error_by_pattern = error_by_pattern or _make_incomplete_error(lines, number, label)
+    if error_by_pattern is not None:
+        return error_by_pattern
     reached = _find_error_position(text, str(error))
     for propose in _REPAIR_FUNCTIONS:
         for repair in propose(lines, number):
@@ -404,8 +404,8 @@ def _make_duplicate_error(
     lines: Sequence[str], number: int, message: str, label: str
 ) -> UsageError | None:
     """Make the error of a table or key that occurs twice in a file."""
-    twice = "Cannot declare" in message or "Cannot overwrite" in message
-    if not twice:
+    is_duplicate = "Cannot declare" in message or "Cannot overwrite" in message
+    if not is_duplicate:
         return None
     line = _quote_line(lines, number)
     _, header = _parse_header(line)
@@ -432,8 +432,8 @@ def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()
         _, header = _parse_header(line)
-        stated = f"[{header}]" if header else line.partition("=")[0].strip()
-        if stated == name:
+        defined_name = f"[{header}]" if header else line.partition("=")[0].strip()
+        if defined_name == name:
             return at
         if header and not name.startswith("["):
             return None

@@ -197,11 +197,11 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     lower = {item.lower(): item for item in reversed(units)}
     # a prefix in words or in another letter case: 1 micro F, 1 KOhm
     word = re.sub(r"^(micro|milli|kilo|nano|pico)\s*", _abbreviate_prefix, unit).lower()
-    near = [lower[word]] if word in lower else get_close_matches(unit, units, 1, 0.7)
-    if not near:  # another letter case: kh for kHz
-        near = [lower[item] for item in get_close_matches(unit.lower(), lower, 1, 0.7)]
-    if near or not si:
-        return f'write  "{number} {near[0]}"' if near else f"write {number}"
+    similar = [lower[word]] if word in lower else get_close_matches(unit, units, 1, 0.7)
+    if not similar:  # another letter case: kh for kHz
+        similar = [lower[item] for item in get_close_matches(unit.lower(), lower, 1, 0.7)]
+    if similar or not si:
+        return f'write  "{number} {similar[0]}"' if similar else f"write {number}"
     return as_typed
 
 

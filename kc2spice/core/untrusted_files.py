@@ -108,8 +108,8 @@ def make_encoding_error(data: bytes, where: str) -> UsageError:
         except UnicodeDecodeError as error:
             line = data[: error.start].count(b"\n") + 1
             start = data.rfind(b"\n", 0, error.start) + 1
-            shown = data[start:].splitlines()[0].decode("cp1252", "replace").strip()[:60]
-            got = f"in line {line}: {shown}"
+            excerpt = data[start:].splitlines()[0].decode("cp1252", "replace").strip()[:60]
+            got = f"in line {line}: {excerpt}"
     return UsageError(
         "this text file is not encoded in UTF-8",
         where=where,
@@ -316,8 +316,8 @@ def call_in_child(
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))
     environment = {**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    with tempfile.TemporaryDirectory(prefix="kc2spice-") as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
+        folder = Path(directory)
         prepare(folder)
         command = [sys.executable, "-m", __name__, function, str(memory), str(seconds)]
         with subprocess.Popen(
@@ -355,9 +355,9 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
         return ValueError(f"the file makes the reader crash ({name})")
     if kind == "MemoryError":
         return ValueError(f"the file needs more than {memory / 1e9:.0f} GB of memory")
-    known = getattr(errors, kind, None)
-    if isinstance(known, type) and issubclass(known, Kc2spiceError):
-        return known(**attributes)
+    error_class = getattr(errors, kind, None)
+    if isinstance(error_class, type) and issubclass(error_class, Kc2spiceError):
+        return error_class(**attributes)
     text = attributes["message"]
     return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
 

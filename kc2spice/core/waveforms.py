@@ -347,9 +347,9 @@ def pulse_waveform(
             "count is not a number of pulses", got=count, expected=expected, hint="delete count"
         )
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
-    one = tuple((start + t, v) for t, v in edges)
+    corners = tuple((start + t, v) for t, v in edges)
     if period is None or count is None:
-        shape = one if width > edge else (one[0], one[1], one[3])
+        shape = corners if width > edge else (corners[0], corners[1], corners[3])
         return Waveform(shape, period)
     points = list[tuple[float, float]]()
     for k in range(count):
