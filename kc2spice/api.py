@@ -205,24 +205,26 @@ def run(
     with naming_arguments("overrides"):
         loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
-    place = (
+    output = (
         tempfile.TemporaryDirectory(prefix="kc2spice-")
         if directory is None
         else stage_directory(directory)
     )
     clock = Clock()
-    with place as name:
+    with output as name:
         work = Path(name)
-        done = complete_run(
+        completed_run = complete_run(
             loaded, work, clock, out=directory, trust=trust, deck=edited, functions=functions
         )
-        answer = done.run
-        figures = {item.name: item for item in done.figures}
-        more: dict[str, Any] = {"figures": figures, "_done": done}
-        checks = answer.verdict.checks
-        result = _make_result(answer.deck, answer.waves, done.record, checks, **more)
+        simulated = completed_run.run
+        figures = {item.name: item for item in completed_run.figures}
+        extra_fields: dict[str, Any] = {"figures": figures, "_done": completed_run}
+        checks = simulated.verdict.checks
+        result = _make_result(
+            simulated.deck, simulated.waves, completed_run.record, checks, **extra_fields
+        )
         if directory is not None:
-            write_run_files(done, work, clock)
+            write_run_files(completed_run, work, clock)
     return result
 
 
@@ -457,16 +459,16 @@ class Result:
             names = (next(iter(self.figures)),)
         if len(names) == 1 and names[0] in self.figures:
             return make_notebook_figure(self.figures[names[0]])
-        _, *known = self.waves
+        _, *wave_names = self.waves
         for name in names:
-            if name not in known:
+            if name not in wave_names:
                 raise unknown(
                     "the result has no such waveform or figure",
                     name,
-                    [*self.figures, *known],
+                    [*self.figures, *wave_names],
                     self.scene,
                 )
-        probes = {name: Probe(of=name) for name in names or known}
+        probes = {name: Probe(of=name) for name in names or wave_names}
         for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
             return make_notebook_figure(figure)
         raise UsageError(
@@ -754,10 +756,10 @@ def sweep(
     with naming_arguments("values"):
         definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
-    with ExitStack() as opened, warnings.catch_warnings():
+    with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         count = workers or available_cores()
-        pool = executor or opened.enter_context(ThreadPoolExecutor(count))
+        pool = executor or stack.enter_context(ThreadPoolExecutor(count))
         for index, outcome in run_points(
             definition, range(plan.size), lambda: nullcontext((pool, count))
         ):

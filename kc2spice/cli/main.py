@@ -237,11 +237,11 @@ def _export(
     else:
         from kc2spice.workflow.export import export_scene
 
-        short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
+        overrides = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         try:
-            loaded = _load_scene(scene, [*(set_ or []), *short])
+            loaded = _load_scene(scene, [*(set_ or []), *overrides])
         except UsageError as error:
-            if short and error.where == f"--set {short[0]!r}":
+            if overrides and error.where == f"--set {overrides[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
                 error.hint = error.hint and error.hint.replace("rom.tolerance", "--tolerance")
             raise
@@ -355,9 +355,9 @@ def _scenes(
             hint=f"run kc2spice scenes {first}, then kc2spice scenes {other}",
         )
     if keys:
-        every = list(list_all_keys())
-        if caller.expects_text(list(map(asdict, every))):
-            print_keys("keys of a scene", every)
+        scene_keys = list(list_all_keys())
+        if caller.expects_text(list(map(asdict, scene_keys))):
+            print_keys("keys of a scene", scene_keys)
     elif parts:
         docs = list(describe_part_types())
         if caller.expects_text(list(map(asdict, docs))):
@@ -582,17 +582,17 @@ def _bench(
     options: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
     with caller.progress() as progress:
         record = measure(loaded, out, **options, progress=progress)
-    best = record["recommended"]
+    recommended = record["recommended"]
     if caller.expects_text(record, out):
         from kc2spice.report.bench_page import format_bench
 
         front = [point for point in record["points"] if point["front"] or point["own"]]
         print_tables(format_bench({**record, "points": front}))
-        if best is not None:
+        if recommended is not None:
             settings = chain.from_iterable(("--set", item) for item in set_ or ())
-            print("kc2spice run", shlex.join([scene, *settings, *best["set"]]))
+            print("kc2spice run", shlex.join([scene, *settings, *recommended["set"]]))
         print(f"all of it: {out / 'bench.html'}")
-    if best is None:
+    if recommended is None:
         raise typer.Exit(GateMissedError.exit_code)
 
 
@@ -624,26 +624,26 @@ def _sweep(
 
     table = engine.table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    answer = engine.load_named_sweep(
+    definition = engine.load_named_sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
-    out = out or Path(f"{answer.scene.name}_sweep")
+    out = out or Path(f"{definition.scene.name}_sweep")
     count = workers or available_cores()
     pool = local_workers(count) if dask is None else dask_workers(dask, count)
     if not caller.quiet:
-        print(answer.describe(), file=sys.stderr)
+        print(definition.describe(), file=sys.stderr)
     result: dict[str, Any] = {
-        "scene": answer.scene.name,
-        "points": answer.plan.size,
+        "scene": definition.scene.name,
+        "points": definition.plan.size,
         "failed": 0,
         "resumed": 0,
     }
-    result |= {"table": str((out / table).absolute()), "runs": answer.runs}
+    result |= {"table": str((out / table).absolute()), "runs": definition.runs}
     if not dry_run:
-        again: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
+        table_options: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.progress() as progress:
-                result = engine.run_sweep(answer, out, pool, progress, **again)
+                result = engine.run_sweep(definition, out, pool, progress, **table_options)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)

@@ -51,8 +51,8 @@ class Caller:
     def expects_text(self, record: Any, out: Path | None = None) -> bool:
         """Return whether a person reads the output; otherwise, print ``record`` as JSON."""
         if self.as_json:
-            more = {} if out is None else {"directory": str(out.absolute())}
-            print(json.dumps({**record, **more} if more else record))
+            location = {} if out is None else {"directory": str(out.absolute())}
+            print(json.dumps({**record, **location} if location else record))
         return not (self.as_json or self.quiet)
 
 
@@ -206,10 +206,10 @@ def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = 
     """Print the result of a run in at most 15 lines; ``verbose`` adds all tables of the report."""
     from kc2spice.report.run_page import format_results, format_summary
 
-    answer = format_summary(result, MAX_METRICS)
+    summary = format_summary(result, MAX_METRICS)
     count = len(result["files"])
-    rows = [*answer.rows[:MAX_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
-    print_tables([replace(answer, title=str(result.get("scene", "")), rows=rows)])
+    rows = [*summary.rows[:MAX_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
+    print_tables([replace(summary, title=str(result.get("scene", "")), rows=rows)])
     if not verbose:
         return
     print_tables(format_results(result))

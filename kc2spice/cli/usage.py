@@ -81,15 +81,15 @@ def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
     """Make the error of an unknown command."""
     error = unknown("this command does not exist", name, commands, command=f"{PROGRAM} --help")
     scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
-    near = difflib.get_close_matches(name, commands, n=1)
-    if near:
-        error.hint = f"did you mean {near[0]!r}?"
+    similar = difflib.get_close_matches(name, commands, n=1)
+    if similar:
+        error.hint = f"did you mean {similar[0]!r}?"
     elif name in _COMMAND_SYNONYMS:
         error.hint = f"write {PROGRAM} {_COMMAND_SYNONYMS[name]} in place of {PROGRAM} {name}"
     else:
-        known = name.endswith(".toml") or scene.is_file()
+        is_scene = name.endswith(".toml") or scene.is_file()
         error.hint = (
-            f"{PROGRAM} run {name}" if known else f"{PROGRAM} --help describes all commands"
+            f"{PROGRAM} run {name}" if is_scene else f"{PROGRAM} --help describes all commands"
         )
     return error
 
@@ -168,8 +168,8 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     options = [word for word in words if word.startswith("--")]
     expected = f"one of {list_candidates(name, options, f'{line} --help')}"
     hint = did_you_mean(name, options) or f"leave out {name}; {line} --help describes all options"
-    same = next(filter(options.__contains__, _OPTION_SYNONYMS.get(name, ())), None)
-    hint = f"write {same} in place of {name}" if same else hint
+    synonym = next(filter(options.__contains__, _OPTION_SYNONYMS.get(name, ())), None)
+    hint = f"write {synonym} in place of {name}" if synonym else hint
     where = line.removeprefix(PROGRAM).strip() or None
     return UsageError(
         "this option does not exist", where=where, got=name, expected=expected, hint=hint
@@ -213,11 +213,11 @@ def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> 
 
 def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
     """Make the error of a word that is neither an option nor an argument of the command."""
-    place = typed.index(word) if word in typed else 0
+    position = typed.index(word) if word in typed else 0
     hint = f"delete {shlex.quote(word)}"
-    if typed[max(0, place - 2) : place - 1] == ["--set"]:
-        value = [typed[place - 1]]
-        for item in typed[place - 1 + 1 :]:
+    if typed[max(0, position - 2) : position - 1] == ["--set"]:
+        value = [typed[position - 1]]
+        for item in typed[position - 1 + 1 :]:
             if item.startswith("--"):
                 break
             value.append(item)
