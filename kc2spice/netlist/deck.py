@@ -315,8 +315,8 @@ class Deck:
         yield f"* {format_comment(self.title)}"
         yield from self.notes or ("",)
         yield from usage
-        if stated := describe_units(self._pin_units):
-            yield f"* Units of the nodes: {stated}."
+        if units := describe_units(self._pin_units):
+            yield f"* Units of the nodes: {units}."
         for part in self.parts:
             yield Directive(".include", (part.filename,))
         yield from self.items

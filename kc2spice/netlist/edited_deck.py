@@ -229,12 +229,12 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
         return
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
     hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
-    absent = list(filter(None, map(sources.get, map(str.lower, missing))))
-    if absent:
-        node = absent[0].nodes[0]
+    missing_sources = list(filter(None, map(sources.get, map(str.lower, missing))))
+    if missing_sources:
+        node = missing_sources[0].nodes[0]
         hint = (
             f"measure the current into {node} by a source of 0 V between NODE, the output of your "
-            f"driver, and {node}:  {absent[0].name} {node} NODE 0"
+            f"driver, and {node}:  {missing_sources[0].name} {node} NODE 0"
         )
     listed = ", ".join(missing[:MAX_CANDIDATES])
     if len(missing) > MAX_CANDIDATES:
@@ -281,12 +281,12 @@ def _compare_options(
         number = literal_value(text) if text else None
         return text if number is None else number
 
-    different = {}
+    changes = {}
     for key in dict.fromkeys([*before, *now]):
         old, new = before.get(key), now.get(key)
         if parse_value(old) != parse_value(new):
-            different[key] = old, new
-    return different
+            changes[key] = old, new
+    return changes
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:

@@ -39,10 +39,10 @@ def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item,
     """
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
-    stated = ", ".join(filter(None, units))
+    unit_list = ", ".join(filter(None, units))
     notes = (
         "",
-        f"* {format_comment(title)}{f'; values in {stated}' if stated else ''}",
+        f"* {format_comment(title)}{f'; values in {unit_list}' if unit_list else ''}",
         *first.notes,
     )
     return (replace(first, notes=notes), *others)

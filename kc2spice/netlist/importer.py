@@ -374,8 +374,8 @@ def _move_ratings(element: Element) -> Element:
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
     """Return a parasitic element with the multiplicity ``m`` of its main element."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
-    made = Element.of(name, *words, **({} if name[0] in "Vv" else count))
-    return replace(made, where=element.where, written=element.written)
+    parasitic = Element.of(name, *words, **({} if name[0] in "Vv" else count))
+    return replace(parasitic, where=element.where, written=element.written)
 
 
 def _translate_capacitor(element: Element) -> Iterable[Item]:
@@ -404,30 +404,30 @@ def _expand_parasitics(
 ) -> Iterator[Element]:
     """Yield the element without parasitics, then one additional element for each parasitic."""
     parasitic = ("rser", "rpar", "cpar", *more)
-    stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
-    left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
+    values = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
+    parameters = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
     plus, minus = element.nodes
     inner = plus
     series: list[Element] = []
-    if "rser" in stated:
+    if "rser" in values:
         inner = f"{element.name}_inner"
         series.append(
-            _make_parallel_element(element, f"R{element.name}_ser", plus, inner, stated["rser"])
+            _make_parallel_element(element, f"R{element.name}_ser", plus, inner, values["rser"])
         )
-    if "lser" in stated:
+    if "lser" in values:
         before, inner = inner, f"{element.name}_core"
         series.append(
-            _make_parallel_element(element, f"L{element.name}_ser", before, inner, stated["lser"])
+            _make_parallel_element(element, f"L{element.name}_ser", before, inner, values["lser"])
         )
-        if "rlshunt" in stated:
+        if "rlshunt" in values:
             shunt = f"R{element.name}_shunt"
-            series.append(_make_parallel_element(element, shunt, before, inner, stated["rlshunt"]))
-    yield replace(element, nodes=(inner, minus), parameters=left)
+            series.append(_make_parallel_element(element, shunt, before, inner, values["rlshunt"]))
+    yield replace(element, nodes=(inner, minus), parameters=parameters)
     yield from series
     for name in ("rpar", "cpar"):
-        if name in stated:
+        if name in values:
             card = f"{name[0].upper()}{element.name}_par"
-            yield _make_parallel_element(element, card, plus, minus, stated[name])
+            yield _make_parallel_element(element, card, plus, minus, values[name])
 
 
 def _is_zero(text: str) -> bool:

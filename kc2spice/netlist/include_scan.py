@@ -121,29 +121,29 @@ class _Reader:
             )
         goes_on = False
         for number, raw in enumerate(self._read_text(name, real, where).split("\n"), 1):
-            place, match = f"{name}:{number}", _INCLUDE_LINE.match(raw)
+            position, match = f"{name}:{number}", _INCLUDE_LINE.match(raw)
             if match is None:
                 line = raw
                 if not self.trust:
                     line, goes_on = _normalize_line(raw, goes_on)
-                yield Line(line, place, raw)
+                yield Line(line, position, raw)
                 continue
             if goes_on and not self.trust:
-                raise make_forbidden_line_error("goes on in an include", self.main, place, raw)
-            target = self._parse_include(match[1], place, raw)
+                raise make_forbidden_line_error("goes on in an include", self.main, position, raw)
+            target = self._parse_include(match[1], position, raw)
             file = path.parent / target
             try:
                 readable = file.is_file() and file.stat().st_size <= MAX_CIRCUIT_BYTES
             except OSError:  # a name that is too long, or an unreadable directory
                 readable = False
             if self.trust and (not target or not readable or self._is_outside(file)):
-                yield Line(raw, place, raw)
+                yield Line(raw, position, raw)
                 continue
             inner = target if self.trust else str(PurePosixPath(name).parent / target)
             begin, end = f"* begin of {format_comment(inner)}", f"* end of {format_comment(inner)}"
-            yield Line(begin, place, begin)
-            yield from self.lines(inner, file, place, (*chain, real))
-            yield Line(end, place, end)
+            yield Line(begin, position, begin)
+            yield from self.lines(inner, file, position, (*chain, real))
+            yield Line(end, position, end)
 
     def _is_outside(self, file: Path) -> bool:
         """Return whether a file is outside of ``home`` and must therefore not be opened."""
@@ -407,10 +407,10 @@ def _find_deck_effects(
         yield "makes nodes global", "nodes of subcircuits", hint
     defined = _FUNCTION_LINE.match(card.written)
     words = card.words[1:] if key in (".param", ".params") else ()
-    again = (defined and defined[1].lower() in _FUNCTION_NAMES) or _CONSTANT_NAMES.intersection(
+    redefines = (defined and defined[1].lower() in _FUNCTION_NAMES) or _CONSTANT_NAMES.intersection(
         word.partition("=")[0].lower() for word in words
     )
-    if outside and again:
+    if outside and redefines:
         hint = "rename it, or put it into the .subckt that uses it"
         yield "defines a built-in name for the whole deck", "a name of its own", hint
 
@@ -610,8 +610,8 @@ def _require_known_command(card: Statement) -> None:
     if not key.startswith(".") or key in ALLOWED_COMMANDS | ANALYSES | _TRUSTED_COMMANDS:
         return
     hint = _LTSPICE_COMMANDS.get(key)
-    if hint is None and (near := did_you_mean(key, sorted(ALLOWED_COMMANDS))):
-        hint = near
+    if hint is None and (suggestion := did_you_mean(key, sorted(ALLOWED_COMMANDS))):
+        hint = suggestion
     if hint is not None:
         expected = f"one of {list_candidates(key, sorted(ALLOWED_COMMANDS))}"
         raise card.error(f"ngspice has no command {key}", card.written[:120], expected, hint)

@@ -94,8 +94,8 @@ class ReductionSummary:
 def _round_up(value: float) -> float:
     """Round a number up to three digits, so that an error bound remains a bound."""
     mantissa, _, exponent = f"{value:.2e}".partition("e")
-    short = float(f"{mantissa}e{exponent}")
-    return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
+    rounded = float(f"{mantissa}e{exponent}")
+    return rounded if rounded >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
 
 
 @dataclass(frozen=True, repr=False)

@@ -129,13 +129,13 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
         yield _make_unknown_name_error(part, message, part.model, scope.subcircuits, hint)
         return
     if len(part.nodes) != len(called.pins):
-        short = len(part.nodes) < len(called.pins)
-        which = called.pins[len(part.nodes) :] if short else part.ends[len(called.pins) :]
+        lacks_nodes = len(part.nodes) < len(called.pins)
+        which = called.pins[len(part.nodes) :] if lacks_nodes else part.ends[len(called.pins) :]
         yield part.error(
-            f"{'missing' if short else 'too many'} pins of {called.name}: {' '.join(which)}",
+            f"{'missing' if lacks_nodes else 'too many'} pins of {called.name}: {' '.join(which)}",
             f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
-            f"add the nodes of {' '.join(which)}" if short else f"delete {' '.join(which)}",
+            f"add the nodes of {' '.join(which)}" if lacks_nodes else f"delete {' '.join(which)}",
         )
     for param in part.settings:
         if param not in called.defaults:
@@ -272,6 +272,6 @@ def _make_unknown_name_error(
     ``otherwise`` is the advice if no known name is similar.
     """
     expected = f"one of {list_candidates(name, sorted(known))}" if known else None
-    near = difflib.get_close_matches(name.lower(), list(known), 1)
-    hint = f"did you mean {near[0]!r}?" if near else otherwise
+    similar = difflib.get_close_matches(name.lower(), list(known), 1)
+    hint = f"did you mean {similar[0]!r}?" if similar else otherwise
     return card.error(message, name, expected, hint)

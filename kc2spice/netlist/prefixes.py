@@ -29,11 +29,11 @@ def read_value(text: str) -> float:
     """Return the double that ngspice reads from a number on a card."""
     match = _DIGIT_PARTS.fullmatch(text)
     assert match is not None
-    sign, integer, rest, exponent, letters = match.groups()
+    sign, integer, decimals, exponent, letters = match.groups()
     mantissa = 0.0
-    for digit in integer + rest:
+    for digit in integer + decimals:
         mantissa = 10 * mantissa + int(digit)
-    power = int(exponent or 0) - len(rest) + PREFIXES[letters]
+    power = int(exponent or 0) - len(decimals) + PREFIXES[letters]
     return (-1.0 if sign == "-" else 1.0) * mantissa * 10.0**power
 
 
@@ -61,13 +61,13 @@ def with_prefix(text: str) -> str:
     if not number:
         return "0"
     power = number.adjusted() // 3 * 3
-    plain = SMALLEST_PLAIN <= abs(number) < LARGEST_PLAIN
-    powers = [k for k in ((0,) if plain else (power, power + 3)) if k in _PREFIX_LETTERS]
+    is_plain = SMALLEST_PLAIN <= abs(number) < LARGEST_PLAIN
+    powers = [k for k in ((0,) if is_plain else (power, power + 3)) if k in _PREFIX_LETTERS]
     if not powers:
         return text
-    same = read_value(text), read_parameter(text)
+    expected = read_value(text), read_parameter(text)
     for spelled in chain.from_iterable(_spell_number(number, k) for k in powers):
-        if (read_value(spelled), read_parameter(spelled)) == same:
+        if (read_value(spelled), read_parameter(spelled)) == expected:
             return spelled
     return text
 

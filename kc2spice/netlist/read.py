@@ -202,9 +202,9 @@ def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     pins, assigned = _separate_assignments(operands[1:])
     low = list(map(str.lower, pins))
     if len(set(low)) < len(low):
-        twice = next(pin for pin in low if low.count(pin) > 1)
-        hint = f"rename the second pin {twice}"
-        raise s.error(f"the pin {twice} stands twice", " ".join(pins), hint=hint)
+        duplicate = next(pin for pin in low if low.count(pin) > 1)
+        hint = f"rename the second pin {duplicate}"
+        raise s.error(f"the pin {duplicate} stands twice", " ".join(pins), hint=hint)
     defaults = _read_assignments(assigned, s)
     items, closing = _read_items(cards, s)
     return Circuit(operands[0], tuple(pins), defaults, items, closing, **_card_origin(s))

@@ -149,9 +149,9 @@ def _fill_scope(
 def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
     """Raise UsageError if another file contains a different definition of the same name."""
     what, value = what.lower(), value.lower()
-    first, place = scope.defined.setdefault(what, (value, card))
-    if place.file != card.file and first != value:
-        expected = f"one definition; the first is in {place.where}"
+    first, first_card = scope.defined.setdefault(what, (value, card))
+    if first_card.file != card.file and first != value:
+        expected = f"one definition; the first is in {first_card.where}"
         hint = "rename one, or put it into its .subckt"
         raise card.error(f"two files define the {what}", card.written, expected, hint)
 

@@ -52,14 +52,14 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
 
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     """Return ``circuit`` with subcircuits renamed by ``names``."""
-    new = key_by_lower_name(names)
+    new_names = key_by_lower_name(names)
 
     def rename_item(entry: Item) -> Item:
         """Return an item in which subcircuits are renamed."""
         if isinstance(entry, Circuit):
-            return replace(entry, name=new.get(entry.name.lower(), entry.name))
+            return replace(entry, name=new_names.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
-            return replace(entry, model=new.get(entry.model.lower(), entry.model))
+            return replace(entry, model=new_names.get(entry.model.lower(), entry.model))
         return entry
 
     return circuit.map_items(rename_item)
@@ -117,7 +117,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
     """Return a part with a new default value of a parameter of the subcircuit ``library``."""
-    new = dict[int, Circuit]()
+    changed_circuits = dict[int, Circuit]()
     params = list(part.params)
     for k, param in enumerate(params if library == library_stem(part) else ()):
         if param.name.lower() == name.lower():
@@ -130,9 +130,9 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
             before = instance_comment(item.name, item.pins, item.defaults)
             lines[before] = instance_comment(item.name, item.pins, defaults)
             notes = tuple(lines.get(line, line) for line in item.notes)
-            new[id(item)] = replace(item, defaults=defaults, notes=notes)
-    items = tuple(new.get(id(item), item) for item in part.circuit.items)
-    if not new:
+            changed_circuits[id(item)] = replace(item, defaults=defaults, notes=notes)
+    items = tuple(changed_circuits.get(id(item), item) for item in part.circuit.items)
+    if not changed_circuits:
         return part
     changed = part.with_circuit(replace(part.circuit, items=items))
     return replace(changed, params=tuple(params))

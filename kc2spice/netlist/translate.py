@@ -91,8 +91,8 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     if dialect == VERILOG_A:
         return {}
     files = make_project(deck) if dialect == NGSPICE else {}
-    spoken = deck_dialects() if dialect == NGSPICE else (dialect,)
-    for name in filter(NGSPICE.__ne__, spoken):
+    dialects = deck_dialects() if dialect == NGSPICE else (dialect,)
+    for name in filter(NGSPICE.__ne__, dialects):
         printer = find_dialect(name)()
         for part in deck.parts:
             stem = part.filename.removesuffix(".lib")

@@ -418,10 +418,10 @@ def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
     merged: dict[str | int, Item] = {}
     for number, item in enumerate(items):
         if isinstance(item, Directive) and item.keyword in joined:
-            one = merged.get(item.keyword, Directive(item.keyword, where=item.where))
-            assert isinstance(one, Directive)
-            words, notes = one.words + item.words, one.notes + item.notes
-            merged[item.keyword] = replace(one, words=words, notes=notes)
+            card = merged.get(item.keyword, Directive(item.keyword, where=item.where))
+            assert isinstance(card, Directive)
+            words, notes = card.words + item.words, card.notes + item.notes
+            merged[item.keyword] = replace(card, words=words, notes=notes)
         else:
             merged[number] = item
     return list(merged.values())

@@ -204,19 +204,19 @@ def make_project(deck: Deck) -> dict[str, str]:
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
     top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
-    plain = element_symbols()
+    symbols = element_symbols()
     drawn = {part.name.lower(): draw_part_symbol(part) for part in deck.parts}
-    items = [_draw_element(element, drawn, plain) for element in top.elements]
+    items = [_draw_element(element, drawn, symbols) for element in top.elements]
     counts = Counter(chain.from_iterable(map(attrgetter("nets"), items)))
     for net, count in counts.items():
         if count == 1 and net not in GROUND_NAMES:
             fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
-            items.append(_reserve_room(plain["PROBE"], plain["PROBE"].fields | fields, (net,)))
+            items.append(_reserve_room(symbols["PROBE"], symbols["PROBE"].fields | fields, (net,)))
     title = deck.title.removeprefix(f"{deck.name}: ")
     commands = list(_simulation_commands(top))
-    used = [*drawn.values(), *_unique_symbols(plain.values())]
+    used = [*drawn.values(), *_unique_symbols(symbols.values())]
     return {
-        f"{deck.name}.kicad_sch": _draw_sheet(deck.name, title, items, commands, plain),
+        f"{deck.name}.kicad_sch": _draw_sheet(deck.name, title, items, commands, symbols),
         f"{deck.name}.kicad_pro": render_template(
             "kicad_project.j2", name=deck.name, sheet=_make_uuid(deck.name, "sheet")
         ),
@@ -259,7 +259,7 @@ def _rename_source(word: str, references: Mapping[str, str]) -> str:
     return f"{opening}{bracket}{name}{dot}{rest}"
 
 
-def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
+def _draw_element(element: Element, parts: dict[str, Symbol], symbols: dict[str, Symbol]) -> _Item:
     """Return the item of the sheet that represents an element.
 
     Raises
@@ -275,7 +275,7 @@ def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, S
             raise element.error("no such subcircuit", element.model)
         fields = symbol.fields | ({"Sim.Params": parameters} if parameters else {})
         return _reserve_room(symbol, fields | {"Reference": name}, nets)
-    symbol = plain.get(letter)
+    symbol = symbols.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
         known = ", ".join(sorted(_ELEMENT_SYMBOLS))
         raise element.error(
@@ -445,7 +445,7 @@ def _pin_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
 
 
 def _draw_sheet(
-    name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
+    name: str, title: str, items: list[_Item], commands: list[str], symbols: dict[str, Symbol]
 ) -> str:
     """Return the text of the schematic, on the smallest suitable paper size."""
     for width in _ROW_WIDTHS:
@@ -456,7 +456,7 @@ def _draw_sheet(
         paper = _choose_paper(right, GRID * (bottom + len(commands)) + _TITLE_BLOCK_HEIGHT)
         if paper in _ROW_WIDTHS[width]:
             break
-    every = [*placed, *_draw_grounds(placed, plain)]
+    all_items = [*placed, *_draw_grounds(placed, symbols)]
     wired = frozenset(chain.from_iterable(map(attrgetter("pins"), tracks)))
     single = [end for end in _pin_ends(placed) if end[3] != "0" and end[:2] not in wired]
     sheet = SimpleNamespace(
@@ -465,12 +465,12 @@ def _draw_sheet(
         wires=list(chain.from_iterable(map(attrgetter("wires"), tracks))),
         junctions=list(chain.from_iterable(map(attrgetter("junctions"), tracks))),
         texts=[(line, SHEET_MARGIN, bottom + k) for k, line in enumerate(commands)],
-        items=every,
+        items=all_items,
     )
     return render_template(
         "kicad.j2",
         sheet=sheet,
-        symbols=_unique_symbols(map(attrgetter("symbol"), every)),
+        symbols=_unique_symbols(map(attrgetter("symbol"), all_items)),
         grid=GRID,
         name=name,
         title=shorten(title, _MAX_COMMENT),
@@ -486,17 +486,17 @@ def _choose_paper(width: float, height: float) -> str:
     return "A0"
 
 
-def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
+def _draw_grounds(items: list[_Item], symbols: dict[str, Symbol]) -> Iterator[_Item]:
     """Yield a ground symbol at every pin on node 0, and one power flag."""
     count = 0
     for x, y, side, net in _pin_ends(items):
         if net == "0":
             count += 1
-            yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
+            yield _ground_mark(symbols["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
     if count:  # the power flag is in a corner, on a separate ground symbol
         corner = SHEET_MARGIN - 2, SHEET_MARGIN - 2
-        yield _ground_mark(plain["GND"], "#PWR00", *corner)
-        yield _ground_mark(plain["PWR_FLAG"], "#FLG01", *corner)
+        yield _ground_mark(symbols["GND"], "#PWR00", *corner)
+        yield _ground_mark(symbols["PWR_FLAG"], "#FLG01", *corner)
 
 
 def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) -> _Item:

@@ -111,5 +111,5 @@ def _possible_ends(line: str) -> tuple[list[int], ...]:
     match = _EXPRESSION_START.search(line)
     begin = match.end() if match else len(line)
     signs = map(re.Match.start, _SUM_BREAK.finditer(line, begin))
-    others = map(re.Match.start, _PRODUCT_BREAK.finditer(line, begin))
-    return outer, *(sorted(set(kind) - fixed) for kind in (inner, signs, others))
+    factors = map(re.Match.start, _PRODUCT_BREAK.finditer(line, begin))
+    return outer, *(sorted(set(kind) - fixed) for kind in (inner, signs, factors))
