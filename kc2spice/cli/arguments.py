@@ -98,7 +98,7 @@ PARAMETERS = {
     "trust": typer.Option(
         "--trust",
         help="Allow included netlists to run commands and access files. Lines that ngspice "
-        "ignores or replaces then give a warning.",
+        "ignores or replaces then cause only a warning.",
     ),
     "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
     "quiet": typer.Option("--quiet", "-q", help="Print neither progress nor tables."),
@@ -151,7 +151,7 @@ PARAMETERS = {
         "NAME.toml or the scene, otherwise up to the fifth natural frequency.",
     ),
     "tolerance": typer.Option(
-        metavar="X", help="Largest relative error over the band. Default: 1e-4."
+        metavar="X", help="Largest relative error of the reduced model. Default: 1e-4."
     ),
     "order": typer.Option(
         metavar="Q",
@@ -202,8 +202,8 @@ PARAMETERS = {
     ),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Metric whose error is compared. Default: the key bench.metric of the scene, "
-        "otherwise all metrics that converge. Repeatable.",
+        help="Metric whose error is compared with --error. Default: the key bench.metric of the "
+        "scene, otherwise all metrics that converge. Repeatable.",
     ),
     "sweep.metric": typer.Option(
         metavar="NAME",

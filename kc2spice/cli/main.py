@@ -178,8 +178,8 @@ def _run(
 ) -> None:
     """Simulate SCENE and print its metrics.
 
-    Builds and reduces the models, writes the netlists, runs ngspice and checks the result. All
-    files appear in DIR at the end; report.html contains the curves.
+    Builds and reduces the models, writes the netlists, runs ngspice and checks the result. At the
+    end, all files are moved to DIR; report.html contains the curves.
     """
     from kc2spice.cli.tables import print_result
     from kc2spice.workflow import run as study
@@ -266,7 +266,7 @@ def _verify(
 ) -> None:
     """Compare full model, reduced model and netlist of SCENE.
 
-    Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its gate.
+    Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its limit.
     """
     from kc2spice.scene.scene_file import list_gallery
     from kc2spice.workflow.verify.verify import verify_scenes
@@ -297,10 +297,10 @@ def _verify(
 
 @_register_command
 def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
-    """Print what SCENE models and what it leaves out.
+    """Print the effects that SCENE models and neglects.
 
-    Lists parts, joined pins, numerical settings with their error, and neglected effects with their
-    estimated size.
+    Lists parts, joined pins, numerical settings with their error estimates, and neglected effects
+    with their estimated size.
     """
     from kc2spice.core.progress import Clock
     from kc2spice.scene.model import scene_hash
@@ -379,9 +379,9 @@ def _scenes(
 
 @_register_command
 def _parts(caller: Caller, search: str | None = None) -> None:
-    """List parts that can be bought, with the sources of values.
+    """List commercial parts and the sources of their data.
 
-    A part number is accepted in place of SCENE by run, export, verify and explain.
+    The commands run, export, verify and explain accept a part number in place of SCENE.
     """
     from dataclasses import asdict
 
@@ -428,7 +428,7 @@ def _reduce(
     power: str | None = None,
     network: str | None = None,
 ) -> None:
-    """Reduce matrices or a measured response to few states.
+    """Reduce matrices or measured data to a small model.
 
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
     circuit that misses the tolerance, or a measurement that no circuit describes.
@@ -534,8 +534,8 @@ def _fit(
 ) -> None:
     """Fit keys of a part to measured impedances.
 
-    Writes fit.toml with the fitted keys, for --set, and report.html into DIR. A disc takes seconds,
-    a solid minutes.
+    Writes the fitted keys to fit.toml, a file for --set, and plots to report.html in DIR. The fit
+    of a disc takes seconds, the fit of a solid takes minutes.
     """
     from kc2spice.workflow.fit import fit as fit_study
 
@@ -570,10 +570,11 @@ def _bench(
     repeats: int = 5,
     trust: bool = False,
 ) -> None:
-    """Find the fastest settings of SCENE within an error.
+    """Find the fastest settings with a permitted error.
 
-    Measures error and time over the numerical settings that 'explain' lists, except meshes. The
-    reference has every setting at its finest. Exit code 4 if no setting is within --error.
+    Measures error and CPU time of SCENE for several values of the numerical settings that 'explain'
+    lists, except meshes. The reference solution has the finest value of every setting. Exit code 4
+    if the error of all settings exceeds --error.
     """
     from kc2spice.workflow.bench import bench as measure
 
@@ -613,10 +614,10 @@ def _sweep(
     retry_failed: bool = False,
     dry_run: bool = False,
 ) -> None:
-    """Run SCENE over ranges of its keys.
+    """Run SCENE at many values of its keys.
 
     Writes a table with one row for each point, and sweep.html with curves. An interrupted sweep
-    continues if the same command is given again. A failed point is a row that states the cause.
+    continues if the same command is repeated. The row of a failed point states the cause.
     """
     from kc2spice.scene.overrides import expand_overrides
     from kc2spice.workflow.sweep import engine
