@@ -106,7 +106,7 @@ class Shape:
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     """Return a boolean mask (n,) of times from ``first`` to ``last``, and one more on each side."""
-    import numpy as np  # imported here, because modules without figures import this module too
+    import numpy as np  # imported here, because most users of this module need no numpy
 
     low, high = np.searchsorted(t, (first, last))
     inside = np.zeros(t.size, dtype=bool)

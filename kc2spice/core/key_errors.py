@@ -100,7 +100,7 @@ def describe_invalid(
         path, typed = (*path, *below), _find_typed_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
     message, expected, hint = _explain(_InvalidValue(result, schema, full_path, also, missing))
-    if kind == "missing" and path and isinstance(path[-1], int):  # an entry of a list
+    if kind == "missing" and path and isinstance(path[-1], int):  # the missing key is a list entry
         full_path, typed = full_path[:-1], _find_typed_value(table, path[:-1], ())
         message, expected, hint = _explain_short_list(full_path, typed, len(missing))
         return full_path, {

@@ -48,7 +48,7 @@ GROUND = "gnd"
 
 @dataclass(frozen=True)
 class LawPin:
-    """Named pin of a law.
+    """Pin of a law, with a name and a kind.
 
     A ``grounded`` pin is connected to the reference if it is not joined to another pin.
     """
@@ -136,7 +136,7 @@ def subtract_waves(plus: str, minus: str) -> WaveCombination:
 
 @dataclass(frozen=True)
 class Equations:
-    """Laws of a part, and the correspondence of its pins and results to pins and waves of laws.
+    """Laws of a part, with tables that map its pins and results to pins and waves of the laws.
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is absent
     if another pin represents it, or if nothing acts on it. Two pins of the part may correspond to
@@ -305,8 +305,9 @@ class Device(ABC):
         d/dt store(e) = rate,   store(e) = the states themselves by default
 
     Flows with an index in ``charged`` also contain the rates of further entries of ``store``. A
-    mode ends when a guard function is no longer positive. ``start`` [m], [m/s] are the initial
-    values of the first across input and of its rate. Without ``start``, both begin at equilibrium.
+    mode ends when a guard function is no longer positive. ``start`` contains the initial
+    values [m] and [m/s] of the first across input and of its rate. Without ``start``, the device
+    begins at equilibrium.
     """
 
     name: str
@@ -629,7 +630,7 @@ class SignalBlock(Device):
     D: np.ndarray
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    kind: str = "signal"  # kind of the inputs
+    kind: str = "signal"  # kind of the input pins
 
     linear = True
 

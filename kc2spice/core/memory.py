@@ -77,7 +77,7 @@ def _free_memory_below_limits(root: Path) -> Iterator[float]:
     """Yield the free memory below the limits of address space and data segment (``ulimit``) [B]."""
     try:
         import resource
-    except ImportError:  # Windows
+    except ImportError:  # Windows has no such limits
         return
     status = root / "proc/self/status"
     for kind, field in (("RLIMIT_AS", "VmSize:"), ("RLIMIT_DATA", "VmData:")):

@@ -15,7 +15,7 @@ _POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
 # Smallest number that is printed in a unit of area or volume; otherwise a smaller unit is used.
 MIN_SHARE_OF_UNIT = 0.1
 LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
-_RATIO_WORDS = "of ", "relative"  # first words of units of ratios
+_RATIO_WORDS = "of ", "relative"  # first words of the units of ratios, such as "of the peak"
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
 

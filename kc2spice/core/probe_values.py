@@ -196,7 +196,7 @@ def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float
 
 
 def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    span = scale[-1] - scale[0]  # negative, like the integral, if the scale falls
+    span = scale[-1] - scale[0]  # for a descending scale, span and integral are negative
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
     )  # the mean of a single point is its value

@@ -26,7 +26,7 @@ from kc2spice.core.units import MAX_QUANTITY_LENGTH, parse_quantity, parse_unit
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
-EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to load
+EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022 (scipy.constants is slow to load)
 MU_0 = 4e-7 * math.pi  # H/m
 
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
@@ -70,7 +70,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 def invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Make the error of a validator for an invalid value, or for an invalid ``key`` of a table."""
+    """Make the error for a validator for an invalid value, or for an invalid ``key`` of a table."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 

@@ -28,7 +28,7 @@ MAX_BRACKET_LINES = 40
 MAX_LINE_LENGTH = 500  # characters of a line that are searched for mistakes
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
-_WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # key, wrong sign
+_WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # groups: key, wrong sign
 # Each double or single typographic quote is replaced by a double quote.
 _PLAIN_QUOTES = str.maketrans(
     dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
@@ -62,7 +62,7 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
 
 
 def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
-    """Make the error of a ``text`` that the parser rejected with ``error``.
+    """Make the error for a ``text`` that the parser rejected with ``error``.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
 
 
 def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Return the error of a key without a value, or of a list of tables in braces."""
+    """Return the error for a key without a value, or of a list of tables in braces."""
     for place in (number, number - 1):
         start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
         if start is None:
@@ -378,7 +378,7 @@ def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> Usa
 
 
 def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Make the error of an inline table { } that extends over several lines."""
+    """Make the error for an inline table { } that extends over several lines."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
     if _mask_strings(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
@@ -403,7 +403,7 @@ def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> U
 def _make_duplicate_error(
     lines: Sequence[str], number: int, message: str, label: str
 ) -> UsageError | None:
-    """Make the error of a table or key that occurs twice in a file."""
+    """Make the error for a table or key that occurs twice in a file."""
     is_duplicate = "Cannot declare" in message or "Cannot overwrite" in message
     if not is_duplicate:
         return None

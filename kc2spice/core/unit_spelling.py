@@ -177,7 +177,7 @@ def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | N
                 return f"write a number of at most 1e300 {si}".rstrip()
             number, unit = NUMBER_WITH_UNIT.fullmatch(text).groups()  # type: ignore[union-attr]
             advice = f'write  "{f"{number} {unit}".strip()}"'
-            if typed is not None and not typed.unit and si in UNITS:  # no unit and no prefix
+            if typed is not None and not typed.unit and si in UNITS:  # no unit was typed
                 advice += f'  or, with a prefix,  "{number} m{si}"'
             return advice
     return None
@@ -206,5 +206,5 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
 
 
 def _abbreviate_prefix(match: re.Match[str]) -> str:
-    """Return the symbol of a prefix in words."""
+    """Return the symbol of a prefix that is written as a word: ``u`` for ``micro``."""
     return "u" if match[1] == "micro" else match[1][0]

@@ -44,8 +44,8 @@ _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
 _MAX_ITEM_BYTES = 1_000_000  # largest size of one array element (number or text)
 # Bytes. A scene is about one page of text; a much larger file is a mistake or an attack.
 MAX_TEXT_BYTES = 1_000_000
-MAX_NESTING = 32  # depth of nested tables and arrays
-LONGEST_KEY = 200  # characters of one part of a key
+MAX_NESTING = 32  # largest depth of nested tables and arrays
+LONGEST_KEY = 200  # largest number of characters of one part of a key
 # Alternatives of the pattern, in this order: strings and comments, brackets, dotted keys.
 _TOML_TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
@@ -89,7 +89,7 @@ def decode_text(data: bytes) -> str:
 
 
 def make_encoding_error(data: bytes, where: str) -> UsageError:
-    """Make the error of a file that is not UTF-8 text, with its line and likely encoding."""
+    """Make the error for a file that is not UTF-8 text, with its line and likely encoding."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding, got = "UTF-16", "a text in UTF-16"
     elif b"\0" in data:
@@ -166,7 +166,7 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
     relative = Path(name)
     try:
         outside = not path.resolve().is_relative_to(home.resolve())
-    # a zero byte, a name that is too long, or a circle of links
+    # the path contains a zero byte or circular links, or is too long
     except (OSError, ValueError, RuntimeError):
         outside = True
     if relative.is_absolute() or ".." in relative.parts or outside:
@@ -215,7 +215,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_simple_syntax(text: str) -> None:
-    """Raise an error for deep nesting, keys with many dots, or long keys."""
+    """Reject TOML text with deep nesting, keys with many dots, or long keys."""
     depth = dots = 0
     for token in _TOML_TOKEN.finditer(text):
         first = token[0][0]
@@ -289,8 +289,8 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 RESULT_ARRAYS_FILE = "answer.npz"
 ERROR_FILE = "reason.json"
 MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, including its libraries
-MAX_RESULT_BYTES = 4_000_000_000  # bytes of the arrays that the child returns
-MAX_RESULT_ENTRIES = 200_000_000  # entries of one array that the child returns
+MAX_RESULT_BYTES = 4_000_000_000  # largest size of all returned arrays together
+MAX_RESULT_ENTRIES = 200_000_000  # largest number of entries of one returned array
 
 
 def call_in_child(

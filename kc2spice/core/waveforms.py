@@ -289,7 +289,7 @@ class Waveform:
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
             rise = _format_difference(t0, t1)
-            top = FLAT_TOP_RATIO * rise  # a width of zero would last until the end
+            top = FLAT_TOP_RATIO * rise  # ngspice continues a pulse of zero width until the end
             fall = _format_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
             rise, fall, top = (
