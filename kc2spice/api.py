@@ -511,8 +511,8 @@ class Result:
         """Write the files of ``kc2spice run`` into a directory and return its path.
 
         The files are deck, libraries, waveforms, ``result.json`` and, for a scene, ``report.html``.
-        With ``png``, they also include the figures. Either all files are written to ``out``, or no
-        file is written.
+        With ``png``, each figure is also written as a PNG file. Either all files are written to
+        ``out``, or no file is written.
 
         Raises
         ------

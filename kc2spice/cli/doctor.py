@@ -65,7 +65,7 @@ _FEATURE_TESTS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check.
+    """Result of one check of the installation.
 
     ``fix`` is the command that corrects the problem, empty if the check passes. kc2spice cannot run
     if a ``needed`` check fails.

@@ -49,7 +49,7 @@ class Caller:
         return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
 
     def expects_text(self, record: Any, out: Path | None = None) -> bool:
-        """Return whether a person reads the output; otherwise, print ``record`` as JSON."""
+        """Print ``record`` if JSON is requested; return whether the command must print tables."""
         if self.as_json:
             location = {} if out is None else {"directory": str(out.absolute())}
             print(json.dumps({**record, **location} if location else record))

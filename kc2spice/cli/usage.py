@@ -78,7 +78,7 @@ _COMMAND_SYNONYMS = {
 
 
 def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
-    """Make the error of an unknown command."""
+    """Make the error for an unknown command."""
     error = unknown("this command does not exist", name, commands, command=f"{PROGRAM} --help")
     scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
     similar = difflib.get_close_matches(name, commands, n=1)
@@ -163,7 +163,7 @@ _OPTION_SYNONYMS = {
 
 
 def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError:
-    """Make the error of an unknown option."""
+    """Make the error for an unknown option."""
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
     expected = f"one of {list_candidates(name, options, f'{line} --help')}"
@@ -177,7 +177,7 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
 
 
 def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
-    """Make the error of an option without a value, or of a flag with a value."""
+    """Make the error for an option without a value, or of a flag with a value."""
     words = _find_option_words(param, typed)
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
@@ -200,7 +200,7 @@ def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageE
 
 
 def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> UsageError:
-    """Make the error of a command whose argument is missing."""
+    """Make the error for a command whose argument is missing."""
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
         f"the argument {param.metavar} is missing",
@@ -212,7 +212,7 @@ def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> 
 
 
 def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
-    """Make the error of a word that is neither an option nor an argument of the command."""
+    """Make the error for a word that is neither an option nor an argument of the command."""
     position = typed.index(word) if word in typed else 0
     hint = f"delete {shlex.quote(word)}"
     if typed[max(0, position - 2) : position - 1] == ["--set"]:
@@ -255,7 +255,7 @@ def _find_option_words(param: Any, typed: list[str]) -> list[str]:
 
 
 def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -> UsageError:
-    """Make the error of an option whose value is not a number or is out of range.
+    """Make the error for an option whose value is not a number or is out of range.
 
     ``is_integer`` is true if the option needs a whole number.
     """
