@@ -48,7 +48,7 @@ def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     >>> lamp.name, lamp.external_nodes
     ('lamp', ('plus', 'minus'))
     """
-    # the output of the package also contains the message
+    # hide log messages, because the output of the package contains the same text
     logging.getLogger(package).setLevel(logging.CRITICAL)
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice_subcircuit").SubCircuit
 

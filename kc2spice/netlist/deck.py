@@ -183,10 +183,10 @@ class Deck:
     evaluates, for runs without a raw file.
 
     A deck that the user has written has a ``text``, the syntax ``tree`` if known, and the texts of
-    included files in ``more``. If ``may_have_loop`` is true, a controller may close a loop, and
-    some simulators need short time steps. If a simulator ignores or replaces statements of a
-    ``trusted`` deck, the run only prints a warning. Nets in ``free_nets`` need no second
-    connection.
+    included files in ``more``. If ``may_have_loop`` is true, a controller may close a feedback
+    loop, and some simulators then need short time steps. If a simulator ignores or replaces
+    statements of a ``trusted`` deck, the run only prints a warning. Nets in ``free_nets`` need no
+    second connection.
     """
 
     name: str
@@ -413,7 +413,7 @@ class Deck:
             for word in card.words if card.keyword in OPTION_CARDS else ():
                 name, _, value = word.partition("=")
                 if name.lower() == key and value:
-                    result = value  # the last one of repeated options is effective
+                    result = value  # if an option is repeated, the last value is effective
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:

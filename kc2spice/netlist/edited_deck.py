@@ -43,7 +43,7 @@ class ParameterEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class InstanceEdit:
-    """Differences of a subcircuit instance.
+    """Differences of a subcircuit instance between the original deck and the edited deck.
 
     Attributes
     ----------
@@ -71,9 +71,9 @@ class DeckEdits:
     options : mapping of str to tuple of two texts or None
         Old and new value of each accuracy option that differs. None stands for the default value.
     cards : mapping of str to str
-        Reason for each difference, keyed by the names of parts whose cards differ, of new cards,
-        and of instances with other nodes. The scene keys of these parts no longer describe the
-        deck.
+        Description of each difference, keyed by the name of a part whose cards differ, of a new
+        card, or of an instance with other nodes. The scene keys of these parts no longer describe
+        the deck.
     instances : mapping of str to InstanceEdit
         Differences of each instance that exists in both decks, keyed by its name in lower case.
     """
@@ -92,9 +92,9 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
 
     Raises
     ------
-    UsageError : the file is missing, a line could execute programs or write files, or a card
-        changes the meaning of the parts. Also: the analysis differs from the scene's analysis, or a
-        required vector is not saved or does not exist.
+    UsageError : the file is missing, a line could execute programs or write files, a card changes
+        the meaning of the parts, the analysis differs from the scene's analysis, or a required
+        vector is not saved or does not exist.
     """
     if path.suffix == ".toml":
         raise UsageError(
@@ -290,7 +290,7 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return a text for each part whose cards differ, keyed by the name of the part.
+    """Return a description of the difference for each part whose cards differ, keyed by part.
 
     Differences in the parameters of an instance, or in its subcircuit, are ignored.
     """

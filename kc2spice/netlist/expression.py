@@ -33,7 +33,7 @@ _OPERATOR_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", 
 _PRECEDENCE: dict[str, int] = {}
 for _rank, _operators in enumerate(_OPERATOR_LEVELS):
     _PRECEDENCE |= dict.fromkeys(_operators, _rank)
-# Exponents of ten of the scale factors after a number.
+# Exponents of ten of the scale factors after a number, such as 6 for ``meg``.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
 MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
 
@@ -428,7 +428,7 @@ def parse_vector(text: str) -> Trace | None:
 
 
 def _parse_device(text: str, parameter: str) -> Trace:
-    """Parse the name of a device inside instances."""
+    """Parse the name of a device, which may be inside nested instances."""
     *path, name = text.split(".")
     inner = path[1:] if path and len(path[0]) == 1 else path
     return Trace("i", (name,), tuple(inner), parameter)

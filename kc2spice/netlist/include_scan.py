@@ -67,7 +67,7 @@ class FlatCircuit:
 
     @property
     def text(self) -> str:
-        """All lines as one text."""
+        """Text of the circuit: all lines, joined by line feeds."""
         return "\n".join(map(attrgetter("text"), self.lines))
 
     def cards(self, *, title: bool = False) -> Iterator[Statement]:
@@ -134,7 +134,7 @@ class _Reader:
             file = path.parent / target
             try:
                 readable = file.is_file() and file.stat().st_size <= MAX_CIRCUIT_BYTES
-            except OSError:  # a name that is too long, or an unreadable directory
+            except OSError:  # the name is too long, or the directory is unreadable
                 readable = False
             if self.trust and (not target or not readable or self._is_outside(file)):
                 yield Line(raw, position, raw)
@@ -371,7 +371,7 @@ def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
 def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each effect of a card on the whole deck, with the expected content and a remedy."""
+    """Yield each effect of a card on the whole deck, with the expected text and a remedy."""
     key, options = card.keyword, accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
@@ -525,7 +525,7 @@ def read_checked_circuit(
     result = flatten_includes(path, home or path.parent, trust=trust)
     if trust:
         return result
-    for line in result.lines:  # original lines, because hidden characters change cards
+    for line in result.lines:  # unchanged lines, because hidden characters change cards
         text = line.raw.rstrip("\r")
         for reason in _find_line_faults(text):
             quotation = repr(text) if _HIDDEN_CHARACTERS.search(text) else text

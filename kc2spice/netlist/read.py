@@ -78,7 +78,7 @@ def split_statements(text: str, file: str, *, title: bool = False) -> list[State
 
     If ``title`` is true, the first line is the title of a deck, which is treated as a comment.
     """
-    result: list[tuple[int, list[str], list[str]]] = []  # line number, comments, pieces
+    result: list[tuple[int, list[str], list[str]]] = []  # line number, comments, parts of the card
     pending: list[str] = []  # comment lines after the latest statement
     lines = split_lines(text)
     for number, raw in enumerate(lines, 1):

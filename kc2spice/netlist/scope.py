@@ -35,7 +35,7 @@ class Scope:
     scope, the next maps contain the definitions of the enclosing scopes. ``defaults`` contains the
     parameters that an instance may set. ``params`` contains the parameters in ``defaults`` and the
     parameters that the subcircuit defines. ``defined`` contains the text and the card of each
-    definition.
+    definition, keyed by its kind and name.
     """
 
     name: str

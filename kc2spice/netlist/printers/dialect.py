@@ -312,7 +312,7 @@ class Dialect(Printer, ABC):
         return ":".join(path)
 
     def device(self, trace: Trace) -> str:
-        """Return the name of a device whose current is saved."""
+        """Return the name of the device whose current is the saved vector ``trace``."""
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:

@@ -128,7 +128,7 @@ _COMPATIBLE_DIALECTS = {
 
 
 def unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
-    """Make the error of an unknown dialect, with the dialect that is most similar to it."""
+    """Make the error for an unknown dialect, with the dialect that is most similar to it."""
     error = unknown("this dialect does not exist", name, known, "--dialect")
     if (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
         error.hint = f"try {similar}, the dialect that is most similar to {name}"

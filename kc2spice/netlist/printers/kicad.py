@@ -53,7 +53,7 @@ _ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
-_MARK_SYMBOLS = {  # reference, title, drawing, pin, position of the text, kind of pin
+_MARK_SYMBOLS = {  # by name: reference, title, drawing, pin, position of the text, kind of pin
     "GND": ("#PWR", "ground, node 0", "ground", Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
@@ -150,7 +150,7 @@ _LETTER_WIDTH = 0.5  # grid units, average width of a letter
 _PAPER_SIZES = {
     "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
 }  # fmt: skip
-_TITLE_BLOCK_HEIGHT = 40  # mm
+_TITLE_BLOCK_HEIGHT = 40  # mm, height of the title block at the bottom of a sheet
 _MAX_COMMENT = 80  # characters of a line in the title block
 _MAX_VALUE = 56  # characters of a value
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 MAX_WIDTH = 100  # characters of the longest line
-MIN_WIDTH = 50  # characters; a line that would be shorter is broken within a word
+MIN_WIDTH = 50  # characters; a break that would make a line shorter is the last choice
 _EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
 _SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
 _PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")

@@ -78,7 +78,7 @@ class Printer(ExpressionWriter):
         """Return the card of an element."""
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
-        known = part.kind in NODE_COUNTS  # for other letters, a word may be the name of a node
+        known = part.kind in NODE_COUNTS  # words of an unknown element may be names of nodes
         values = " ".join(map(self.value, part.values) if known else part.values)
         pairs = self.join_pairs(part.parameters)
         return _join_words(

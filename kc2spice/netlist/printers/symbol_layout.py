@@ -102,7 +102,7 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     if electrical and mechanical:
         left = set(electrical)
     elif electrical:
-        left.update(signals)  # command inputs, with or without a current
+        left.update(signals)  # signal pins are command inputs
         left = left or {electrical[0]}
     elif mechanical:
         left = set(mechanical)

@@ -231,7 +231,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
         line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     names = VerilogNames(module, scope, pins, params, "")
-    for key, default in scope.defaults.items():  # a user's subcircuit may have no description
+    for key, default in scope.defaults.items():  # the header of a user's subcircuit may lack them
         if key.lower() not in params:
             spelled, value = module.identifier(key), names.value(default)
             module.declarations.append(f"parameter real {spelled} = {value};")
@@ -436,7 +436,7 @@ def _table_function(name: str, x: list[float], f: list[float]) -> str:
     return "\n".join([*lines, "    end", "  endfunction"])
 
 
-# --- testbench of modules compiled to OSDI, for an ngspice that loads OSDI ---
+# --- testbench for an ngspice that loads modules compiled to OSDI ---
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:

@@ -52,9 +52,9 @@ class Xyce(Dialect):
         return super().call(function, arguments)
 
     def element(self, part: Element) -> str:
-        """Return the card of an element; without ``uic``, ``IC=`` is omitted.
+        """Return the card of an element, without ``IC=`` if the analysis has no ``uic``.
 
-        If the analysis has no ``uic``, ngspice ignores ``IC=``, but Xyce applies it.
+        In an analysis without ``uic``, ngspice ignores ``IC=``, but Xyce applies it.
         """
         if not _starts_from_initial_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
@@ -84,7 +84,7 @@ class Xyce(Dialect):
             return card.text
         count, start, stop = (float(value or 0.0) for value in numbers)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
-        beyond = start * per ** ((steps + 1e-6) / count)  # 1e-6 against rounding errors
+        beyond = start * per ** ((steps + 1e-6) / count)  # 1e-6 compensates rounding errors
         return " ".join([card.keyword, *card.words[:3], format_number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
