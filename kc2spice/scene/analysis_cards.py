@@ -13,7 +13,7 @@ from kc2spice.scene.results import NOISE_WAVE
 
 @dataclass(frozen=True)
 class AnalysisCards:
-    """Command of an analysis, and cards of the source in the command."""
+    """SPICE command of an analysis, and the cards of the source that the command names."""
 
     command: Command
     items: tuple[Item, ...] = ()
@@ -35,7 +35,7 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
         step = build.largest_step.step
         return AnalysisCards(transient_command(scene.stop, step, uic=bool(scene.initial_states)))
     if selected.type == "ac":
-        # of two linear points, ngspice returns only the first one
+        # for two points on a linear scale, ngspice computes only the first point
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         command = ac_command(selected.start, float(selected.stop or 0.0), points, selected.scale)
         return AnalysisCards(command)

@@ -1,7 +1,8 @@
-"""Catalogue of commercial parts, with data-sheet values, their source and its date.
+"""Catalogue of commercial parts, with data-sheet values and the source and date of the data.
 
 ``catalogue.toml`` contains one table for each part number. A part number is accepted in place of
-the name of a scene. Its scene contains the part in a test circuit for this kind of part.
+the name of a scene. The scene of a part number contains the part in a test circuit for this kind of
+part.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from kc2spice.core.untrusted_files import make_identifier
 
 @dataclass(frozen=True)
 class CataloguePart:
-    """Part of a manufacturer, with the text of its scene.
+    """Commercial part, with the TOML text of a scene that contains the part.
 
     ``keys`` are the lines of the part's table in the scene. ``band`` contains the first and the
     last frequency of the scene's analysis; it is empty for a transient. ``redundant`` are
-    data-sheet values without a key. ``assumed`` describes values that the data sheet does not
-    contain. A part without ``keys`` has a built-in ``scene``.
+    data-sheet values that no key of the part contains. ``assumed`` describes values that the data
+    sheet does not contain. A part without ``keys`` has a built-in ``scene``.
     """
 
     number: str
@@ -47,7 +48,7 @@ class CataloguePart:
 
     @property
     def words(self) -> str:
-        """Text in which words of a search must occur."""
+        """Searched text: number, manufacturer, device and kind of the part in lower case."""
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
     @property
@@ -57,7 +58,7 @@ class CataloguePart:
 
     @property
     def rated_voltage(self) -> str:
-        """Text of the key ``voltage``, the voltage of the test circuit; may be empty."""
+        """Value of the key ``voltage`` for the test circuit, as a string; may be empty."""
         lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
         return next(lines, "")
 

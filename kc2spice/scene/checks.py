@@ -1,4 +1,4 @@
-"""Records of metrics, checks, energy balances and error limits of a result."""
+"""Records of metrics, checks, energy balances and error limits of a run."""
 
 from __future__ import annotations
 
@@ -33,23 +33,24 @@ class Metric:
 
 @dataclass(frozen=True)
 class Check:
-    """Check that ``value`` does not exceed ``limit``; ``advice`` is for a violation.
+    """Check that ``value`` does not exceed ``limit``.
 
-    The value is NaN if the run did not reach the checked event. ``action`` is the effect of a
-    violation on the run. A check with ``coarse`` is violated if time steps are too large, which
-    tighter tolerances may correct. A check with ``wiring`` compares the netlist with the scene; in
-    an edited deck, a difference may be intentional. ``suggested`` contains dotted keys with values
-    that avoid the violation, if such values are known and the scene does not set the keys. A check
-    with ``discretisation`` compares a model with a finer model at the frequencies of the run. In a
-    transient, ``verify`` includes this check unless ``verify`` solves the scene with the finer
-    model.
+    ``advice`` states what to do if the check is violated. The value is NaN if the run did not reach
+    the checked event. ``action`` is the effect of a violation on the run. A check with ``coarse``
+    is violated if time steps are too large; tighter tolerances may correct this. A check with
+    ``wiring`` compares the netlist with the scene; in an edited deck, a difference may be
+    intentional. ``suggested`` contains dotted keys with values that avoid the violation, if such
+    values are known and the scene does not set the keys. A check with ``discretisation`` compares a
+    model with a finer model at the frequencies of the run. In a transient, ``verify`` includes this
+    check unless ``verify`` solves the scene with the finer model.
 
     The value of a check with ``loaded`` is the relative error of a reduced body under the loads
     that a transient has recorded. In a check of a motion, ``distance`` is the smallest distance
     from the limit, on either side, and ``travel`` the range of the motion. ``distance`` and
     ``travel`` have the unit of the check.
+
     ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. If a
-    check with these two texts is violated, a value in the scene is the cause, and the run writes no
+    check with both texts is violated, a value in the scene is the cause, and the run writes no
     files.
     """
 
@@ -91,8 +92,8 @@ class Balance(EqualByContent):
 
     ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
     the balance at any time. ``limit`` is the largest accepted ratio of ``missing`` to ``scale``
-    [J]. Of a linear part, ``exact`` contains for each wave the values of the run and the exact
-    response to the loads of the part.
+    [J]. For a linear part, ``exact`` contains two arrays for each wave: the values of the run, and
+    the exact response of the part to its loads.
     """
 
     entries: dict[str, float]
@@ -118,11 +119,11 @@ class Verdict:
 
 
 def require_passed(checks: tuple[Check, ...], where: str) -> None:
-    """Raise an error for the first violated check that fails the run.
+    """Raise an error for the first violated check whose ``action`` is ``"fail"``.
 
     Raises
     ------
-    SimulationError : a violated check.
+    SimulationError : a check with this action is violated.
     """
     for check in checks:
         if check.is_fatal:
@@ -144,8 +145,8 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
 def motion_error_limit(solver: Solver) -> float:
     """Return the limit of the relative error of motions in ngspice.
 
-    The reference are motions of the reference solver. At the usual tolerances, the errors are 1e-5
-    to 3e-5. The errors are proportional to ``(reltol chgtol)^0.55``.
+    The error is the difference to the motion in the reference solution. At the usual tolerances,
+    the errors are 1e-5 to 3e-5. The errors are proportional to ``(reltol chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 
@@ -165,9 +166,10 @@ class Gate:
     * *spectral*: difference of each entry of a response divided by its magnitude, at least 1e-6 of
       the peak of the entry.
 
-    ``share`` is the compared part of the scale, from its start on. The difference of a gate with
-    ``is_main`` is the error of the scene in ``errors``. In a transient, a gate with
-    ``discretisation`` compares with a solution in which only this part has a finer mesh.
+    ``share`` is the compared fraction of the time or frequency range, counted from its start. The
+    difference of a gate with ``is_main`` is the error of the scene in ``errors``. In a transient, a
+    gate with ``discretisation`` compares the run with a solution in which only this part has a
+    finer mesh.
     """
 
     description: str

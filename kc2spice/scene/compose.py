@@ -23,7 +23,7 @@ from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.scene.parttype import find_current_into
 
 Pin = tuple[str, str]
-_GROUND_NAMES: Pin = (GROUND, "")
+_GROUND_PIN: Pin = (GROUND, "")
 LISTED_PINS = 5  # largest number of pins that an error message lists
 METER_SUFFIX = "meter"  # last part of the name of an ammeter
 
@@ -31,8 +31,8 @@ METER_SUFFIX = "meter"  # last part of the name of an ammeter
 def join_parts(scene: Scene) -> Scene:
     """Return the scene with its nets and the reference frame of each net.
 
-    Parts in a shaken frame have additional pins for the acceleration of the frame. These pins are
-    joined after the frames have been determined.
+    Parts in an accelerated frame have additional pins for the acceleration of the frame. These pins
+    are joined after the frames have been determined.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def join_parts(scene: Scene) -> Scene:
 
 
 def with_joins(scene: Scene) -> Scene:
-    """Return the scene with the targets of pins that the keys of parts imply."""
+    """Return the scene with the targets to which the keys of parts join their pins."""
     joins = {}
     for name, record in scene.records.items():
         joins[name] = record.part.type.default_joins(record.part, scene)
@@ -76,7 +76,7 @@ def _with_nets(scene: Scene) -> Scene:
             terminals[part.name, terminal.name] = terminal
     _require_distinct_pins(terminals)
     scene = replace(scene, terminals=terminals)
-    union = DisjointGroups([_GROUND_NAMES, *terminals])
+    union = DisjointGroups([_GROUND_PIN, *terminals])
     for part in scene.parts.values():
         for pin, target, where in _list_joins(part, scene):
             other = _find_target(target, scene, where)
@@ -96,21 +96,33 @@ def _with_nets(scene: Scene) -> Scene:
 
 
 # Names that other programs use for the first and for the second pin of a part with two pins.
-_FIRST_PINS = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
-_SECOND_PINS = ("n", "m", "minus", "neg", "negative", "2", "-", "cathode", "ground", "gnd", "com")
+_FIRST_PIN_NAMES = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
+_SECOND_PIN_NAMES = (
+    "n",
+    "m",
+    "minus",
+    "neg",
+    "negative",
+    "2",
+    "-",
+    "cathode",
+    "ground",
+    "gnd",
+    "com",
+)
 
 
 def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
-    """Suggest the pin of a part with two pins that has the name ``typed`` in other programs."""
+    """Suggest a pin if ``typed`` is a name of pins in other programs, such as ``anode``."""
     if len(pins) >= 2:
-        for names, pin in ((_FIRST_PINS, pins[0]), (_SECOND_PINS, pins[1])):
+        for names, pin in ((_FIRST_PIN_NAMES, pins[0]), (_SECOND_PIN_NAMES, pins[1])):
             if typed.lower() in names:
                 return f"write {pin} in place of {typed}"
     return None
 
 
 def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield the joins of a part: pin, target, and the key that states the join.
+    """Yield the pin, the target and the dotted key of each join of a part.
 
     Joins in the table ``pins`` come first, then joins that keys imply, then default joins. A pin
     that another part names as a target has no default join.
@@ -134,9 +146,9 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def _find_target(target: str, scene: Scene, where: str) -> Pin:
-    """Return the pin that a target names."""
+    """Return the pin that a target such as ``part.pin`` names; reject an unknown target."""
     if target in (GROUND, "0"):
-        return _GROUND_NAMES
+        return _GROUND_PIN
     name, dot, pin = target.partition(".")
     if where == f"{name}.pins.{pin}":
         others = [".".join(item) for item in scene.terminals if item[0] != name]
@@ -172,7 +184,7 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
 
 def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
     """Reject a join of two pins of different kinds."""
-    if _GROUND_NAMES in (a, b):
+    if _GROUND_PIN in (a, b):
         return
     first, second = scene.terminals[a], scene.terminals[b]
     if not _are_compatible(first, second):
@@ -197,7 +209,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
 
 
 def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
-    """Suggest the key of a part with which its pin has the kind of the pin ``other``."""
+    """Suggest the value of a key with which a pin gets the same units as the pin ``other``."""
     units = other.unit, other.flow
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
@@ -208,7 +220,8 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
     """Suggest one of the ``choices`` as the target of a pin.
 
-    If the other pin of a part with two pins is joined, the first choice may be on its net.
+    If the part has two pins and the other one is joined, suggest ground. The first choice may be on
+    the net of the other pin.
     """
     ends = {end for part, end in scene.terminals if part == pin[0]}
     joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
@@ -217,13 +230,13 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins may be joined: equal units, and equal flows if both have one."""
+    """Return whether two pins may be joined: equal units, and equal flows except for signals."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
     """Reject a net with pins of different kinds that are joined through a signal pin."""
-    for a, b in combinations(() if _GROUND_NAMES in net else net, 2):
+    for a, b in combinations(() if _GROUND_PIN in net else net, 2):
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
@@ -243,11 +256,11 @@ def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
 
 
 def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
-    """Return the node of each pin, which is named after the first pin on the same net."""
+    """Return the netlist node of each pin; a node is named after the first pin on its net."""
     names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
-        nets |= dict.fromkeys(group, "0" if _GROUND_NAMES in group else names.name(*preferred))
+        nets |= dict.fromkeys(group, "0" if _GROUND_PIN in group else names.name(*preferred))
     return {pin: nets[pin] for pin in scene.terminals}
 
 
@@ -313,7 +326,8 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
         for pin, domain in metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
-            paired = part.reduced and not domain.reference  # its result without an ammeter
+            # a body may report this current without an ammeter
+            paired = part.reduced and not domain.reference
             if (
                 (quantity == "power" and pin in powered)
                 or quantity in (f"{pin}.power", f"{pin}.{flow}")
@@ -349,8 +363,8 @@ def _make_unjoined_error(
 ) -> UsageError:
     """Return the error about a required pin that is not joined.
 
-    The hint suggests a pin that is not joined. A join with a joined pin could short-circuit a
-    voltage, such as a bias, and a join with ground would clamp a motion.
+    The hint prefers a target pin that is not joined either. A joined target could short-circuit a
+    voltage, such as a bias, and ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -364,7 +378,7 @@ def _make_unjoined_error(
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
     elif fitting:
         hint = f'connect it, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
-        if terminal.domain is ELECTRICAL:  # a load shorts no other net
+        if terminal.domain is ELECTRICAL:  # a load does not short-circuit another net
             hint = (
                 f'add a part at this pin, such as [{name}_load] with part = "resistor", '
                 f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'

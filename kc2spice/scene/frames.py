@@ -1,9 +1,10 @@
-"""Reference frames of displacements: the ground, or a frame under acceleration.
+"""Reference frames of displacements: the ground, or an accelerated frame.
 
-If the acceleration pin (kind ``m/s2``) of a body is joined, the body is fixed to a shaken frame.
-The displacements of the body, and of all nets that parts couple to the body, are then relative to
-this frame, and ``gnd`` is the origin of the frame. A mass m that moves along the unit vector e is
-subject to the acceleration a of the frame::
+If the acceleration pin (kind ``m/s2``) of a body is joined, the body is fixed to an accelerated
+frame. The displacements of the body, and of all nets that parts couple to the body, are then
+relative to this frame, and ``gnd`` is the origin of the frame. The equation of motion of a mass m
+with the displacement x along the unit vector e contains the force F and the acceleration a of the
+frame::
 
     m x'' = F - m a . e
 """
@@ -24,7 +25,7 @@ MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
-    """Return the accelerated frame of every pin whose displacement is relative to one.
+    """Return the accelerated frame of each pin whose displacement is relative to such a frame.
 
     Raises
     ------
@@ -55,7 +56,10 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
 
 
 def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
-    """Return the frame of each moving pin of a body; empty for a body that is not shaken."""
+    """Return the accelerated frame of each moving pin of a body.
+
+    The result is empty for a body whose acceleration pins are not joined.
+    """
     directions = part.type.directions(part, scene)
     accelerations = {}
     for terminal in scene.pins(part.name):
@@ -96,7 +100,7 @@ def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[s
 
 
 def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str) -> None:
-    """Store the frame of a net; reject a net in two different frames."""
+    """Store the reference frame of a net in ``known``; reject a net in two different frames."""
     if net == "0":
         return
     first = known.setdefault(net, frame)
@@ -113,7 +117,7 @@ def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, wher
 
 
 def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
-    """Store the frame of one net of a part for all moving nets of the part."""
+    """Store the reference frame of one net of a part for all moving nets of the part."""
     nets = scene.nets_of(part.name, _moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
@@ -126,14 +130,14 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
     if part.reduced:
         return
     moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.moving}
-    acts, frames = set(), []
+    frames_of_pins, frames = set(), []
     for pin in _moving_pins(part, scene, listening=True):
         net = scene.net(part.name, pin)
         if net in moving:
             frame = known.get(net)
-            acts.add(frame and frame.node_shares)
+            frames_of_pins.add(frame and frame.node_shares)
             frames.append(f"{part.name}.{pin} in {_name_frame(frame)}")
-    if len(acts) > 1:
+    if len(frames_of_pins) > 1:
         raise UsageError(
             "this part compares displacements in different frames of reference",
             where=part.name,
@@ -161,7 +165,7 @@ def _require_inertial_force(
         if frame is None or not frame.shakes:
             continue
         if part.netlist:
-            advice = f"in {_name_frame(frame)} its masses need the force -m a of their own"
+            advice = f"in {_name_frame(frame)}, the netlist must apply -m a to each of its masses"
             warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
         elif pin not in part.type.inertial(part, scene):
             continue

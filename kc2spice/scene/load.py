@@ -34,10 +34,11 @@ from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
+_PART_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
-_GRAMMAR_KEYS = ("part", "pins")  # keys that every table of a part may contain
-_LINE = re.compile(r"[^.]:\d+$")  # end of the position of a line, such as amp.lib:4
+_STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
+# line number at the end of a file position such as amp.lib:4
+_LINE_NUMBER_SUFFIX = re.compile(r"[^.]:\d+$")
 
 
 def load_scene(
@@ -52,10 +53,10 @@ def load_scene(
         Name of a built-in scene (``kc2spice scenes`` lists them), path of a TOML file, the tables
         of such a file as a mapping, or a scene to be changed.
     overrides : sequence of str, or mapping of str to value, optional
-        Texts ``dotted.key=value``, or a mapping of dotted keys to values. A value in a text is TOML
-        (``80``, ``"80 V"``, ``[0, 1e5]``), a bare word or a quantity (``80 V``, ``antiparallel``).
-        Numbers are in SI units. The path of a TOML file of such keys may replace a text. Entries of
-        a list are counted from 0, or from its end by negative numbers:
+        Strings ``dotted.key=value``, or a mapping of dotted keys to values. A value in a string is
+        TOML (``80``, ``"80 V"``, ``[0, 1e5]``), a quantity (``80 V``) or a bare word
+        (``antiparallel``). Numbers are in SI units. A string may also be the path of a TOML file
+        with such keys. Entries of a list are counted from 0, or from its end by negative numbers:
         ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
 
     Returns
@@ -110,9 +111,13 @@ def load_scene(
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # an absolute path or the line of a netlist is a place in a file, and no key
+        # an absolute path, or a line of a netlist, is not a key that the source can locate
         where = problem.where
-        if where is not None and not Path(where).is_absolute() and not _LINE.search(where):
+        if (
+            where is not None
+            and not Path(where).is_absolute()
+            and not _LINE_NUMBER_SUFFIX.search(where)
+        ):
             problem.hint = _suggest_probed_result(data, source, problem) or problem.hint
             problem.where = source.where(where)
         raise
@@ -170,7 +175,7 @@ def _copy_tables(value: Any) -> Any:
 
 
 def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
-    """Return the checked and resolved scene of the tables ``data``; errors name keys."""
+    """Return the checked and resolved scene that the tables ``data`` describe."""
     types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
     scene = Scene(_validate_table(SceneKeys, frame, ()), {}, home=source.folder)
@@ -239,7 +244,7 @@ def _make_parts(
 
 
 def _with_default_drive(scene: Scene) -> Scene:
-    """Return the scene; a source of 1 V is added if nothing drives an ``ac`` analysis.
+    """Return the scene, with an added 1 V source if nothing drives its ``ac`` analysis.
 
     Raises
     ------
@@ -272,7 +277,7 @@ def _with_default_drive(scene: Scene) -> Scene:
 
 
 def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
-    """Return the table of a suitable source for an ``ac`` analysis without a source.
+    """Return a hint with the table of a source that can drive the ``ac`` analysis.
 
     The source drives one of the ``ports``, or otherwise the first pin of the scene with a force, a
     current or another flow.
@@ -311,7 +316,7 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
             )
         if not isinstance(table, Mapping):
             raise _make_unknown_key_error(name, data)
-        if not _NAME.fullmatch(name) or name.lower() == GROUND:
+        if not _PART_NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
                 "this name of a part is not valid",
                 where=name,
@@ -362,13 +367,13 @@ def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
 
 
 def _suggest_part_type(typed: object) -> str | None:
-    """Suggest the part type with the meaning of a name of another program."""
+    """Suggest the part type that is named ``typed`` in other programs."""
     kind = PART_TYPE_SYNONYMS.get(normalise_word(str(typed)))
     return f'write  part = "{kind}"' if kind in type_names() else None
 
 
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
-    """Return the part type that the key ``part`` of a table or the table's name states."""
+    """Return the part type that the key ``part`` of a table, or the table's name, determines."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
         near = did_you_mean(name, [*SceneKeys.model_fields, *DEFAULT_TYPES])
@@ -409,22 +414,25 @@ def _make_part(
     """Return the part that a table describes.
 
     ``at`` is the path of the table in the file if the path is not the name of the table. If the
-    name of the table implies the part type, ``short`` contains all tables of the scene, because
-    some keys may then depend on other tables. ``tables`` are
-    all tables of the scene, from which an error suggests pins.
+    name of the table implies the part type, ``short`` contains the names of all tables of the
+    scene, because some keys may then depend on other tables. ``tables`` are all tables of the
+    scene; errors suggest pins of their parts.
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise _make_pins_error(name, table, kind, home, tables)
     keys = _complete_tables(table, kind.schema)
-    for key in _GRAMMAR_KEYS:
+    for key in _STRUCTURAL_KEYS:
         keys.pop(key, None)
     checked = _validate_table(kind.schema, keys, at or (name,), {"home": home, "short": short})
     return Part(name, kind, checked, dict(pins), at)
 
 
 def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) -> list[str]:
-    """List the pins of a part that is alone in a scene; empty if its pins depend on others."""
+    """Return the pin names of a part that is alone in a scene.
+
+    The result is empty if the pins depend on other parts.
+    """
     with suppress(Exception):  # the pins are a suggestion only
         part = _make_part(name, {**table, "pins": {}}, kind, home)
         alone = Scene(SceneKeys(name=name), {name: part}, home=home)
@@ -433,7 +441,7 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
 
 
 def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
-    """Return the first pin of another part, ground if the scene has no other part with pins."""
+    """Return the first pin of another part; ``gnd`` if no other part of the scene has pins."""
     for other, table in tables.items():
         if other != name and other not in SceneKeys.model_fields and isinstance(table, Mapping):
             with suppress(UsageError):
@@ -445,7 +453,10 @@ def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
 def _make_pins_error(
     name: str, table: Mapping[str, Any], kind: PartType, home: Path, tables: Mapping[str, Any]
 ) -> UsageError:
-    """Make the error of pins that are not a table of texts; suggest pins of the part."""
+    """Return the error about a key ``pins`` that is not a table of strings.
+
+    The error suggests pins of the part.
+    """
     pins = table["pins"]
     known = _list_pins(name, table, kind, home) or ["PIN"]
     if isinstance(pins, Mapping):
@@ -492,12 +503,12 @@ def _validate_table(
     try:
         return schema.model_validate(table, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, at, _GRAMMAR_KEYS if at else (), table)
+        path, words = describe_invalid(error, schema, at, _STRUCTURAL_KEYS if at else (), table)
         raise UsageError(where=".".join(map(str, path)), **words) from None
 
 
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
-    """Return ``table``, whose subtables are completed by the defaults of the schema.
+    """Return a copy of ``table`` in which defaults of the schema complete the inner tables.
 
     For example, ``ring = { outer = "6 mm" }`` changes only the outer diameter of the default ring.
     """

@@ -32,8 +32,9 @@ class Metrics(NamedTuple):
 
 
 def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
-    """Return the metrics of probes and parts; for ``partial`` waves, only available ones.
+    """Return the metrics of all probes and parts of a run.
 
+    ``partial`` waves are those of an interrupted run: metrics whose waves are missing are omitted.
     If several parts have a metric of the same name, the name of the part precedes the name of the
     metric: ``left.kick_stroke_m``.
     """
@@ -41,7 +42,10 @@ def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) ->
 
 
 def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
-    """Split nested tables of metrics into tables of values, and units by dotted name."""
+    """Separate the values of nested metrics from their units.
+
+    The tables of values remain nested; the units are keyed by dotted name.
+    """
     result = Metrics({}, {})
     for name, item in rows.items():
         value, unit = (item.value, item.unit) if isinstance(item, Metric) else (item, "")
@@ -111,8 +115,8 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
 
     Raises
     ------
-    UsageError : the run does not contain the probed wave, or a position of the probe is outside of
-        the scale.
+    UsageError : the run does not contain the probed wave, or the probe reads a time or frequency
+        outside of the range of the run.
     """
     unit, reference = _probe_unit(probe, build, waves), _level_reference(probe, build)
     window, where = find_probe_window(probe, build.scene), f"probes.{name}"
@@ -133,9 +137,9 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
 
 
 def find_probe_window(probe: Probe, scene: Scene) -> tuple[float, float] | None:
-    """Return the first and the last position on the scale that a probe reads.
+    """Return the first and the last time, frequency or swept value that a probe reads.
 
-    The result is None if the probe reads the whole scale.
+    The result is None if the probe reads the whole wave.
     """
     if probe.periods is not None:
         return scene.stop - probe.periods * (scene.period or 0.0), scene.stop

@@ -88,8 +88,8 @@ ControllerFunction = Callable[[float, Mapping[str, float]], float]
 class Terminal:
     """Pin of a part, with the units that 1 V and 1 A represent.
 
-    1 V on the pin represents one ``unit``, and 1 A one ``flow``, which is ``"-"`` for a signal. A
-    pin that the scene does not join is joined to the target ``default`` (``"gnd"`` or
+    1 V on the pin represents one ``unit``, and 1 A represents one ``flow``. For a signal, ``flow``
+    is ``"-"``. A pin that the scene does not join is joined to the target ``default`` (``"gnd"`` or
     ``"part.pin"``). A ``required`` pin must be joined. ``signal_out`` marks a pin that sets a
     signal. ``rated`` [V] is the largest voltage that an electrode withstands; None if unknown.
     ``kind_key`` is the key of the part whose value sets the units of the pin.
@@ -111,7 +111,7 @@ class Terminal:
 
     @classmethod
     def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Return a pin whose quantity is the rate of a domain's across quantity (a velocity)."""
+        """Return a pin for the rate of the across quantity of a domain, such as a velocity."""
         assert domain.rate is not None, f"{domain.name} has no rate"
         return cls(name, domain.rate.pin_unit, domain.flow, default)
 
@@ -119,7 +119,7 @@ class Terminal:
     def signal(
         cls, name: str, quantity: Quantity, *, required: bool = False, signal_out: bool = False
     ) -> Terminal:
-        """Return a pin whose signal is a quantity."""
+        """Return a signal pin whose voltage represents ``quantity``."""
         return cls(name, quantity.pin_unit, SIGNAL, required=required, signal_out=signal_out)
 
     @property
@@ -134,7 +134,7 @@ class Terminal:
 
     @property
     def needs_path(self) -> bool:
-        """Whether the net of the pin needs a path to the reference for an operating point."""
+        """Whether an operating point exists only with a path from the pin to the reference."""
         return self.domain is not None and bool(self.domain.path_to_reference)
 
     @property
@@ -189,7 +189,7 @@ class Part(Generic[KeysT]):
 
     @property
     def reduced(self) -> bool:
-        """Whether the part is a body, whose model is reduced according to the table ``rom``."""
+        """Whether the part is a body: its keys ``rom`` state how its model is reduced."""
         return hasattr(self.keys, "rom")
 
     @property
@@ -211,7 +211,7 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """Return an error about a key of the part, or if ``key`` is empty about the part."""
+        """Return an error about a key of the part; about the part itself if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
         return wrong(where, message, got, expected, hint)
 
@@ -224,10 +224,10 @@ class Part(Generic[KeysT]):
 class PartRecord(Generic[T]):
     """Record of the properties of a part that are known before any model is built.
 
-    Each field is the result of one method of :class:`PartType`, which the module
-    :mod:`kc2spice.scene.resolve` calls once. ``rest`` is the result of the method
-    :meth:`PartType.equilibrium_conditions`. All other fields have the name of their method. The
-    class of ``shared_data`` is defined in the package of the part.
+    Each field is the result of one method of :class:`PartType`. The module
+    :mod:`kc2spice.scene.resolve` calls each of these methods once. ``rest`` is the result of the
+    method :meth:`PartType.equilibrium_conditions`. All other fields have the name of their method.
+    The class of ``shared_data`` is defined in the package of the part.
     """
 
     part: Part
@@ -240,7 +240,7 @@ class PartRecord(Generic[T]):
 
 
 class NameAllocator:
-    """Allocator of netlist names that differ in more than letter case."""
+    """Allocator of netlist names that are unique even if letter case is ignored."""
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
         self.reserved = set(map(str.lower, reserved))
@@ -259,10 +259,10 @@ class NameAllocator:
 
 
 class SceneSource(Protocol):
-    """Protocol of the text of a scene file with its overrides."""
+    """Protocol of a class that locates keys in a scene file and in its overrides."""
 
     def where(self, key: str) -> str:
-        """Return file, line and name of a key."""
+        """Return the location of a key for errors: file, line and name."""
 
     def overrides_key(self, key: str) -> bool:
         """Return whether an override sets the key."""
@@ -277,8 +277,8 @@ class DeclaredScene:
     ``ports`` selects the ports of bodies: the needed ports, all declared ports for an export
     (:attr:`Part.declares_ports`), or all ports for documentation. ``resolved_frequency`` [Hz] is
     the highest frequency up to which the parts resolve their physics, or None if the analysis
-    determines it. ``workspace`` contains large results, such as meshes, for this scene and for
-    scenes that are made from this scene.
+    determines it. ``workspace`` is a cache of large results, such as meshes. Scenes that are
+    derived from this scene share it.
     """
 
     frame: SceneKeys
@@ -300,12 +300,12 @@ class DeclaredScene:
 
     @property
     def gravity(self) -> float:
-        """Gravity [m/s^2], positive downwards."""
+        """Gravitational acceleration [m/s^2], positive downwards."""
         return self.frame.gravity
 
     @property
     def error_budget(self) -> float | None:
-        """Relative error that the run must reach for every metric."""
+        """Largest relative error that is accepted for every metric of the run."""
         return self.frame.error_budget
 
     @property
@@ -335,12 +335,12 @@ class DeclaredScene:
 
     @property
     def checks(self) -> CheckActions:
-        """Actions for violated checks."""
+        """Action of each failed check: the run fails, prints a warning, or continues."""
         return self.frame.checks
 
     @property
     def gates(self) -> ErrorLimits:
-        """Error limits of differences between solutions in ``verify``."""
+        """Largest differences between two solutions of the scene that ``verify`` accepts."""
         return self.frame.gates
 
     @property
@@ -389,12 +389,14 @@ class DeclaredScene:
         return self.parts[name]
 
     def partner(self, part: Part, kind: str, key: str = "") -> Part:
-        """Return the part that the key ``key`` of ``part`` names, by default the only one.
+        """Return the part that ``part`` names in its key ``key``.
+
+        If the key has no value, return the only part of the type ``kind``.
 
         Raises
         ------
-        UsageError : the key names no part of the type ``kind``, or names none although there is not
-            exactly one part of this type.
+        UsageError : the scene does not contain the named part; or the key has no value, and the
+            scene contains no part of the type ``kind``, or several.
         """
         name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
@@ -420,7 +422,10 @@ class DeclaredScene:
         return part.type.is_subcircuit(part, self)
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Return whether a part names this pin as a target, so that its default does not apply."""
+        """Return whether any part names this pin as the target of one of its own pins.
+
+        If so, the default target of this pin does not apply.
+        """
         targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
         return f"{part}.{pin}" in targets
 
@@ -431,9 +436,10 @@ class GovernedScene(DeclaredScene):
 
     A governed part is a part that another part moves, copies or gives an initial state. ``movers``
     maps each moved part to the part that prescribes all its motion. ``initial_states`` contains the
-    states at t = 0 that keys state. ``without_cards`` are the parts that another part copies or
-    moves. ``records`` contains the record of each part, keyed by name. ``frames`` contains the
-    shaken frame of each pin whose displacement is relative to one.
+    states at t = 0 that keys prescribe, keyed by part. ``without_cards`` are the parts without
+    cards in the deck, because another part copies or moves them. ``records`` contains the record of
+    each part, keyed by name. ``frames`` contains the reference frame of each pin whose displacement
+    is relative to an accelerated frame.
     """
 
     records: Mapping[str, PartRecord[object]] = field(default_factory=dict)
@@ -443,14 +449,20 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> PartRecord[object] | None:
-        """Return the record of a part; None if the scene contains a part with other keys."""
+        """Return the record of a part.
+
+        The result is None if the part of this name in the scene is another object, with other keys.
+        """
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Third stage of a scene, with the joins of pins that keys imply, keyed by part."""
+    """Third stage of a scene, with the targets of those pins that keys of parts join.
+
+    ``joins`` maps each part to the targets of its pins.
+    """
 
     joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
@@ -486,7 +498,7 @@ class WiredScene(JoinedScene):
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
     def joined_types(self, part: str, pin: str) -> set[str]:
-        """Return the part types of the other parts on the net of a pin."""
+        """Return the names of the part types of the other parts on the net of a pin."""
         return {self.parts[name].type.name for name, _ in self.joined_pins(part, pin)}
 
 
@@ -494,8 +506,9 @@ class WiredScene(JoinedScene):
 class Scene(WiredScene):
     """Resolved scene with the records of all its parts.
 
-    The base classes are the stages of :func:`kc2spice.scene.resolve.resolve`, in which methods of
-    part types receive the scene. ``numerics`` are the numerical requirements of all parts.
+    The base classes are the stages of :func:`kc2spice.scene.resolve.resolve`. A method of a part
+    type receives the scene at one of these stages. ``numerics`` are the numerical requirements of
+    all parts.
     ``period`` [s] is the common period of all drives; None if there is no common period. ``meters``
     contains the names of the ammeters at pins. ``names`` contains the names of all other nodes and
     cards, keyed by ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the
@@ -531,7 +544,7 @@ class Scene(WiredScene):
 
 
 def scene_hash(scene: Scene) -> str:
-    """Return 16 hexadecimal digits of the hash of all values that a netlist depends on.
+    """Return a hash, 16 hexadecimal digits, of all values that determine the netlist.
 
     The names and titles of scenes, error limits, actions of checks, and keys without a value do not
     change the hash. A new optional key therefore leaves old hashes unchanged. Numbers are hashed
@@ -571,14 +584,15 @@ class BuildRecord:
 class Build:
     """Scene with the models of its parts, from which netlist, metrics and checks follow.
 
-    ``models`` contains the results of :meth:`PartType.build`, keyed by part, and ``libraries`` the
-    names of the subcircuits. ``trust`` states whether the user trusts included netlists.
+    ``models`` contains the results of :meth:`PartType.build`, and ``libraries`` the names of the
+    subcircuits; both are keyed by part. ``trust`` states whether the user trusts included netlists.
     ``unchecked_parts`` are parts whose parameters in the deck differ from their keys; for these
     parts, there are neither checks nor an energy balance. ``functions`` are Python functions that
-    set sources. ``largest_step`` is the largest step of a transient. ``records`` contains the build
-    records of the parts (:func:`kc2spice.scene.resolve.resolve_build`). ``results`` are the results
-    that are saved. ``dc_sweep`` and ``noise_output`` are the sweep and the output of the analysis.
-    ``laws`` are the equations of the parts (:func:`kc2spice.equations.scene_laws.get_scene_laws`).
+    set sources. ``largest_step`` is the upper limit of the time step of a transient. ``records``
+    contains the build records of the parts (:func:`kc2spice.scene.resolve.resolve_build`).
+    ``results`` are the results that the simulator saves. ``dc_sweep`` is the sweep of a dc
+    analysis, and ``noise_output`` the output of a noise analysis. ``laws`` are the equations of the
+    parts (:func:`kc2spice.equations.scene_laws.get_scene_laws`).
     ``linearised`` contains the eigenmodes of the scene at the start of a transient
     (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
     the latest run.
@@ -620,7 +634,7 @@ class Build:
         return result
 
     def models_of(self, kind: type[M]) -> dict[str, M]:
-        """Return the models of the class ``kind``, keyed by part name."""
+        """Return all models that are instances of the class ``kind``, keyed by part name."""
         return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
     @property
@@ -701,10 +715,10 @@ class PartType(Generic[KeysT]):
     follows_frames: ClassVar[bool] = False
     #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
-    # Dotted keys for numbers of pieces or of series terms. ``verify`` compares the solution with a
-    # solution with twice as many.
+    # Dotted keys whose values are numbers of elements or of series terms. ``verify`` compares the
+    # solution with a second solution, for which these numbers are doubled.
     discretisations: ClassVar[tuple[str, ...]] = ()
-    # names of the resistors of the subcircuit that are noise sources, or a description
+    # names of the resistors of the subcircuit that are noise sources, or a description of the noise
     noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
@@ -728,9 +742,9 @@ class PartType(Generic[KeysT]):
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the targets of pins that keys of the part imply, keyed by pin.
+        """Return the targets to which keys of the part join its pins, keyed by pin.
 
-        A target in the table ``pins`` overrides a target in the result.
+        A target in the table ``pins`` overrides the target that this method returns.
         """
         return {}
 
@@ -751,7 +765,7 @@ class PartType(Generic[KeysT]):
         return {}
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Return the words of the name of each inner node and each further card.
+        """Return the words that form the name of each inner node and each further card.
 
         :meth:`Build.inner_name` returns the complete names.
         """
@@ -760,8 +774,8 @@ class PartType(Generic[KeysT]):
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Return data for other part types of the same package.
 
-        The class of the data is defined in this package. An example are the parameters of a
-        loudspeaker, which the part for its box reads. The data depend only on keys and on governed
+        The class of the data is defined in this package. For example, a loudspeaker shares its
+        parameters with the part type of its box. The data depend only on keys and on governed
         parts. Other parts read ``scene.record(part).shared_data``.
         """
         return None
@@ -769,9 +783,9 @@ class PartType(Generic[KeysT]):
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
         """Return the constraints and loads of the part, before its model is built.
 
-        An operating point exists only if, for each displacement, temperature or pressure pin, a
-        path to the reference leads through the ``paths`` of all parts. By default, the part
-        connects each such pin to ground.
+        An operating point exists only if the ``paths`` of all parts together connect each
+        displacement, temperature or pressure pin to the reference. By default, the part connects
+        each of its own displacement, temperature and pressure pins to ground.
         """
         return EquilibriumConditions(
             tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path)
@@ -788,7 +802,7 @@ class PartType(Generic[KeysT]):
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins that carry a mass of the part.
+        """Return the pins at which the part has a mass.
 
         This method is called if a pin of the part moves with a shaken frame, as on a body with an
         acceleration port. The part must then add the force ``-m a`` of the frame at the returned
@@ -797,7 +811,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Yield the errors of the part in this scene, whose ``where`` is a dotted key.
+        """Yield the errors of the part in this scene; the ``where`` of each is a dotted key.
 
         The key ``checks.plausible`` determines whether errors of implausible keys
         (:func:`kc2spice.scene.plausible.check_range`) stop the run, are warnings, or are ignored.
@@ -807,7 +821,7 @@ class PartType(Generic[KeysT]):
     # --- models and netlist -----------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
-        """Return tolerance, band and norm of the reduction; None if there is no reduction."""
+        """Return the settings of the part's model reduction; None if there is no reduction."""
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
@@ -820,13 +834,17 @@ class PartType(Generic[KeysT]):
         return None
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the subcircuit: the name of the part type if unique."""
+        """Return the name of the part's subcircuit.
+
+        The name is the name of the part type. If the scene contains several parts of the type, the
+        name is the name of the part.
+        """
         return self.name if len(scene.list_parts(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuits that the part's subcircuit uses, and as last one itself."""
+        """Return the subcircuits that the part needs; its own subcircuit is the last one."""
         return ()
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
@@ -851,11 +869,11 @@ class PartType(Generic[KeysT]):
     def settable(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, SweptSource | SampledSource | float]:
-        """Return the quantities of the part that can be set from outside.
+        """Return the sources and initial node voltages of the part that an analysis can set.
 
         The result maps a key to the source that a dc sweep of this key varies, or to the Python
-        function that sets a source during the simulation. The result maps a node to its voltage at
-        t = 0 (``.ic``).
+        function that sets a source during the simulation. The result also maps a node to its
+        initial voltage [V] (``.ic``).
         """
         return {}
 
@@ -876,15 +894,18 @@ class PartType(Generic[KeysT]):
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the limits [V] of the part's output voltage, infinite without supplies."""
+        """Return the limits [V] of the part's output voltage; infinite if it has no supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
-        """Return the voltage [V] that the part prescribes from ``ret`` to ``out``, or None."""
+        """Return the waveform of the voltage [V] that the part prescribes, or None.
+
+        The voltage is that of pin ``out`` relative to pin ``ret``.
+        """
         return None
 
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
-        """Return a function for the highest frequency [Hz] in the waves of the part.
+        """Return a function that computes the highest frequency [Hz] in the waves of the part.
 
         Nearly all energy of the waves is below this frequency. The argument of the function is the
         time constant [s] of the filter through which the waves act on other parts.
@@ -927,9 +948,9 @@ class PartType(Generic[KeysT]):
     def corrected_waves(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return results that replace results of the netlist, such as a pressure off the axis.
+        """Return waveforms that replace waveforms of the netlist, such as a pressure off axis.
 
-        The results are functions of other ``waves``, with effects that the netlist does not
+        The waveforms are computed from other ``waves``, with effects that the netlist does not
         contain.
         """
         return {}
@@ -951,7 +972,7 @@ class PartType(Generic[KeysT]):
     def checks(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Check | Balance | Gate]:
-        """Return checks of a result.
+        """Return the checks of the waveforms of a run.
 
         The checks test physical laws that the netlist does not contain. They include the energy
         balance if a transient has saved all terms of the balance. For ``verify``, they include
@@ -966,8 +987,8 @@ class PartType(Generic[KeysT]):
 
         ``most`` is the largest number of unknowns of the finer mesh; a plane mesh may have
         :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many. The results are checks
-        of the differences, or texts with the reason why there is no check. Keys that a ``full``
-        model refines need no check.
+        of the differences between both models, or texts that state why there is no check. Mesh keys
+        that ``build`` refines with ``full = True`` need no check.
         """
         return ()
 
@@ -978,7 +999,10 @@ class PartType(Generic[KeysT]):
         return ()
 
     def law(self, part: Part[KeysT], build: Build) -> Equations | MissingEquations | None:
-        """Return the equations for the independent integrator, or the reason why there are none."""
+        """Return the part's equations for the independent time integrator.
+
+        If the part has no equations, return the reason, or None.
+        """
         return None
 
     def figures(
@@ -988,7 +1012,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
-        """Return the shapes of the part in the side view.
+        """Return the shapes of the part in the side view of the scene.
 
         The upper face of a body is at y = 0, and the axis of a body at x = 0.
         """
@@ -1001,7 +1025,7 @@ class PartType(Generic[KeysT]):
         yield self.title
 
     def discretisation(self, part: Part[KeysT], build: Build) -> str:
-        """Describe the error estimate of the part's mesh; empty for a part without a mesh."""
+        """Return a description of the part's mesh error; empty for a part without a mesh."""
         text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 

@@ -19,7 +19,10 @@ MAX_RMS_CHANGE = 0.02
 
 
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the noise density (nf,) that each part contributes to the output."""
+    """Return the spectral density of the output noise that each part causes.
+
+    The densities are keyed by part. Each is an array with one value for each frequency.
+    """
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
         word, _, rest = name.partition(".")
@@ -30,7 +33,10 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """Return the rms values over the band of the output noise and of each contribution."""
+    """Return the rms value of the output noise, and of the noise that each part causes.
+
+    The rms values are integrals over the frequency range of the analysis.
+    """
     f, parts = waves["frequency"].real, noise_by_part(waves)
     unit = build.results.units[NOISE_WAVE].removesuffix(DENSITY_UNIT)
     added = {part: Metric(_rms_value(f, result), unit) for part, result in parts.items()}
@@ -39,12 +45,15 @@ def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
 
 
 def _rms_value(f: np.ndarray, density: np.ndarray) -> float:
-    """Compute the rms value of a noise density over the band."""
+    """Return the rms value of a noise density over the frequencies ``f`` [Hz]."""
     return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
 
 
 def noise_checks(waves: Waveforms) -> Iterator[Check]:
-    """Check that the rms noise hardly changes if every second frequency is omitted."""
+    """Check that the rms noise hardly changes if every second frequency is omitted.
+
+    A large change means that the frequency steps do not resolve a resonance.
+    """
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[NOISE_WAVE][:even]
@@ -63,7 +72,7 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
 
 
 def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
-    """Plot the spectral density of the noise, and its integral from the lowest frequency on."""
+    """Plot the spectral density of the output noise, and the rms noise up to each frequency."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)

@@ -1,8 +1,9 @@
-"""Numerical settings of a scene, and the plan of a run that lists them.
+"""Numerical settings of a scene, and the plan of a run that lists these settings.
 
 A key that trades computing time for accuracy is a numerical setting. Its declaration contains a
 :class:`kc2spice.core.quantities.RefinementRule`. The key ``error_budget`` and the command ``bench``
-vary the settings. The plan also contains parts, nets and neglected effects; ``explain`` prints it.
+vary the settings. The plan of a run also lists parts, nets and neglected effects. The command
+``explain`` prints the plan.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP_KEY = "solver.max_step"
-MAX_TIME_POINTS = 2e5  # largest number of time points with the finest step
-# Ratio of the highest frequency to the band of a reduction. Steps and contacts excite modes above
-# the band.
+MAX_TIME_POINTS = 2e5  # largest number of time points of a transient with the finest time step
+# Factor by which each refinement step of a transient raises the highest frequency of the band of a
+# reduction. Steps and contacts excite modes above the band.
 BAND_GROWTH = 2.0
 
 
@@ -36,11 +37,12 @@ class NumericalSetting:
     """Numerical setting: its key, its value and its refinement rule.
 
     ``name`` is the dotted name of the key. ``low`` and ``high`` bound the value. ``finer`` contains
-    the values of further keys that a refined setting needs. ``band`` is the band of a reduction
-    whose tolerance is the setting. Each refinement step multiplies the highest frequency of the
-    band by ``wider``. ``decades`` is the width of a frequency grid with equally many points in each
-    decade; a refined grid contains all points of the coarser grid. ``model`` marks settings that do
-    not change the time of the simulator, and ``mesh`` settings of meshes.
+    the values of further keys that a refined setting needs. If the setting is the tolerance of a
+    reduction, ``band`` is the frequency band [Hz] of the reduction. Each refinement step multiplies
+    the highest frequency of the band by ``wider``. If the setting is the number of points of a
+    logarithmic frequency grid, ``decades`` is the width of the grid in decades. A refined grid
+    contains all points of the coarser grid. ``model`` marks a setting that does not change the
+    computing time of the simulator. ``mesh`` marks a setting for the fineness of a mesh.
     """
 
     name: str
@@ -56,9 +58,9 @@ class NumericalSetting:
     mesh: bool = False
 
     def refined_keys(self, steps: float) -> dict[str, Any]:
-        """Return the keys after a number of refinement ``steps``; negative steps coarsen.
+        """Return the changed keys and their values after a number of refinement ``steps``.
 
-        The result is empty if no key changes.
+        Negative ``steps`` make the setting coarser. The result is empty if no key changes.
         """
         value = self.rule.refine(self.value, steps)
         if self.decades and steps:
@@ -78,15 +80,18 @@ class NumericalSetting:
 
 
 def find_numerical_settings(build: Build) -> tuple[NumericalSetting, ...]:
-    """Return the settings of a scene that trade time for error.
+    """Return the numerical settings of a scene that can be refined.
 
-    The settings include the largest time step, if it is known or set.
+    The settings include the largest time step, if the step is known or is set in the scene.
     """
     return tuple(setting for setting in _list_settings(build) if setting.refined_keys(1.0))
 
 
 def find_finest_settings(build: Build) -> tuple[NumericalSetting, ...]:
-    """Return the settings at their finest value, whose error only a coarser run can estimate."""
+    """Return the numerical settings of a scene that are already at their finest value.
+
+    Only a run with a coarser value can estimate the error of such a setting.
+    """
     return tuple(
         setting
         for setting in _list_settings(build)
@@ -112,20 +117,20 @@ def _list_settings(build: Build) -> Iterator[NumericalSetting]:
     elif scene.analysis.is_small_signal and "analysis" in scene.tables:
         (setting,) = _list_settings_of_keys(scene.analysis, "analysis")
         yield replace(setting, decades=_count_decades(scene.analysis))
-    yield from _list_reductions(build)
+    yield from _list_reduction_settings(build)
     for part in scene.parts.values():
         yield from _list_settings_of_keys(part.keys, part.key_prefix)
 
 
 def _count_decades(analysis: Analysis) -> float:
-    """Return the decades of a logarithmic range of frequencies; 0 on a linear scale."""
+    """Return the number of decades of a logarithmic frequency range; 0 for a linear range."""
     if analysis.scale == "linear":
         return 0.0
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
 def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSetting]:
-    """Yield the settings in a table and its inner tables, except settings of reductions."""
+    """Yield the numerical settings in a table and its inner tables, except tables ``rom``."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
         if isinstance(value, BaseModel) and not isinstance(value, Rom):
@@ -140,8 +145,8 @@ def _is_used(rule: RefinementRule, keys: BaseModel) -> bool:
     return all(getattr(keys, name) == value for name, value in rule.when)
 
 
-def _list_reductions(build: Build) -> Iterator[NumericalSetting]:
-    """Yield a setting for the scene's table ``rom``, and for the ``rom`` of each body."""
+def _list_reduction_settings(build: Build) -> Iterator[NumericalSetting]:
+    """Yield a setting for the table ``rom`` of the scene, and for the ``rom`` of each body."""
     scene = build.scene
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
@@ -150,7 +155,11 @@ def _list_reductions(build: Build) -> Iterator[NumericalSetting]:
         if rom is None:
             continue
         separate = getattr(part.keys, "rom", None) is not None
-        prefix = f"{part.key_prefix}.rom" if separate or not _is_common(part, scene) else "rom"
+        prefix = (
+            f"{part.key_prefix}.rom"
+            if separate or not _uses_scene_reduction(part, scene)
+            else "rom"
+        )
         if prefix in known:
             continue
         known.add(prefix)
@@ -169,7 +178,7 @@ def _list_reductions(build: Build) -> Iterator[NumericalSetting]:
         yield replace(setting, band=band, wider=wider, finer=plain)
 
 
-def _is_common(part: Part, scene: Scene) -> bool:
+def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
     """Return whether the scene's table ``rom`` applies to ``part`` and all other bodies."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
@@ -232,12 +241,12 @@ def _estimate_mesh_error(setting: NumericalSetting, build: Build) -> float | Non
 
 
 def describe_plan(build: Build) -> dict[str, Any]:
-    """Return the plan of a run, which is ``plan`` in ``result.json``.
+    """Return the plan of a run, which becomes the entry ``plan`` of ``result.json``.
 
-    ``parts`` contains the ``source`` of each part's model and its ``detail``, a description.
+    ``parts`` contains the ``source`` and the description (``detail``) of the model of each part.
     ``joins`` describes the nets, and ``frames`` the origins of displacements. ``left_out`` lists
-    each neglected effect once. ``settings`` lists the numerical settings, each with the relative
-    ``error`` if the error is known before a run.
+    each neglected effect once. ``settings`` lists the numerical settings. The ``error`` of a
+    setting is its estimated relative error, or None if it is not known before a run.
     """
     scene = build.scene
     parts = []
@@ -254,7 +263,8 @@ def describe_plan(build: Build) -> dict[str, Any]:
     settings = []
     for setting in find_numerical_settings(build):
         error = _estimate_mesh_error(setting, build)
-        # In a transient, steps excite a body above the band, where the tolerance does not apply.
+        # The tolerance of a reduction bounds the error only within its band. In a transient, steps
+        # excite modes above the band, so that the error is not known.
         if scene.analysis.is_small_signal and setting.name.endswith("rom.tolerance"):
             error = setting.value
         settings.append({"key": setting.name, "value": setting.value, "error": error})

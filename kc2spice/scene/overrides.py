@@ -1,4 +1,4 @@
-"""Parsing of overrides of a scene's keys: texts ``KEY=VALUE``, and TOML files of keys."""
+"""Parser of overrides of the keys of a scene: strings ``KEY=VALUE`` and TOML files."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
 _STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples
-_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # text that needs no quotes in a shell
+_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # string that needs no quotes in a shell
 _SEPARATOR = re.compile(r"[.\[]")
 # pairs of keys that exclude each other
 _EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
-_EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
+_OVERRIDE_EXAMPLES = (
+    "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
+)
 
 
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
 ) -> Iterator[tuple[str, Any, str]]:
-    """Yield key, value and place of each override; the place is for errors.
+    """Yield the key, the value and the origin of each override; errors print the origin.
 
     ``example`` is a function that returns an example of an override for a key.
 
     Raises
     ------
-    UsageError : a text is not of the form ``KEY=VALUE``.
+    UsageError : a string is not of the form ``KEY=VALUE``.
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
@@ -47,7 +49,7 @@ def read_overrides(
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
-    """Replace names of TOML files by a text ``dotted.key=value`` for each key of the file.
+    """Replace each name of a TOML file by strings ``dotted.key=value``, one for each key.
 
     Raises
     ------
@@ -87,7 +89,7 @@ _OTHER_SEPARATOR = re.compile(r"([A-Za-z_][\w.\[\]]*)\s*[:\s]\s*([^=:\s][^=]*)")
 
 
 def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]:
-    """Return the key and the value of a text ``dotted.key=value``."""
+    """Return the key and the value of a string ``dotted.key=value``."""
     name, _, value = map(str.strip, text.partition("="))
     if not name or not value:
         advice = example(clip_text(name)) if name else f"KEY={clip_text(value) or 'VALUE'}"
@@ -97,17 +99,17 @@ def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]
             "the value of the key is missing" if name else "the key is missing",
             where="--set",
             got=repr(clip_text(text)),
-            expected=_EXAMPLES,
+            expected=_OVERRIDE_EXAMPLES,
             hint=f"write {advice}",
         )
     return name, parse_override_value(value)
 
 
 def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Return an override of the key ``name``, or of a key in this table, as an example.
+    """Return an example of an override of the key ``name``, or of a key in the table ``name``.
 
     The value in the example is the present value in ``tables``, the tables of the scene. ``keys``
-    are the dotted keys of the part that ``name`` contains.
+    are the dotted keys of the part whose key is ``name``.
     """
     value: Any = tables
     for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
@@ -136,7 +138,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
     """Set the key ``name`` in ``data``; return the path of the key.
 
     The path contains the indices of list entries. Missing tables are added, but list entries must
-    exist. ``where`` is the place of the override for errors.
+    exist. ``where`` is the origin of the override, which errors print.
     """
     steps = re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name)
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
@@ -145,7 +147,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
             "this text is not the name of a key",
             where=where,
             got=repr(clip_text(name)),
-            expected=_EXAMPLES,
+            expected=_OVERRIDE_EXAMPLES,
             hint="write PART.KEY=VALUE, with the names of a part and of its key",
         )
     path: list[str] = []
@@ -172,7 +174,7 @@ def _suggest_list(holder: Any, key: str) -> str | None:
 
 
 def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None) -> str | int:
-    """Return the table key or the list index that one ``step`` of a dotted key means.
+    """Return the table key or the list index for one ``step`` of a dotted key.
 
     ``near`` is a hint about a list with a similar name.
 
@@ -210,9 +212,9 @@ def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None)
 
 
 def parse_override_value(text: str) -> Any:
-    """Parse the text VALUE in ``key=VALUE`` as TOML.
+    """Parse the string VALUE of an override ``key=VALUE`` as TOML.
 
-    A text that is not TOML, such as a bare word or a number with a unit, is returned unchanged.
+    A string that is not TOML, such as a bare word or a number with a unit, is returned unchanged.
     """
     try:
         table = parse_toml(f"value = {text}")

@@ -23,7 +23,7 @@ PERPENDICULAR_COSINE = 1e-9  # rounding error of the cosine of a right angle
 class Neglected:
     """Effect that a model neglects, with the reason and the largest error that it causes.
 
-    The summary of a run contains the effects with ``summarised``.
+    If ``summarised`` is true, the summary of a run lists the effect.
     """
 
     effect: str
@@ -40,7 +40,7 @@ class State:
     height: float
 
 
-# Relation to a governed part: its motion is prescribed, or its cards are copied.
+# What a part does with a governed part: prescribe its motion, or copy its cards.
 Governed = Literal["moved", "copied"]
 
 
@@ -69,7 +69,7 @@ class EquilibriumConditions:
 
 @dataclass(frozen=True)
 class Vector:
-    """Result of a part: an ngspice expression, the factor to SI, and the SI unit.
+    """Result of a part: an ngspice expression, its factor to SI units, and the SI unit.
 
     The expression may be a sum, such as ``a+b``. A current or force leaves the part at the pins in
     ``leaves``, and enters the part at the pins in ``enters``. For a sound pressure,
@@ -87,12 +87,12 @@ class Vector:
 
     @property
     def terms(self) -> list[tuple[float, str]]:
-        """Signs and vectors of the terms of the expression."""
+        """Terms of the expression: the sign and the ngspice vector of each term."""
         return split_terms(self.expression)
 
     @property
     def voltage(self) -> str | None:
-        """Voltage in the syntax of the simulator; None if the result is no voltage."""
+        """Result as a voltage in ngspice syntax, such as ``v(a,b)``; None if it is no voltage."""
         plus: list[str] = []
         minus: list[str] = []
         for sign, text in self.terms:
@@ -167,11 +167,11 @@ class DcSweep(EqualByContent):
     part, key : str
         Part and key of the scene that the sweep varies.
     ends : tuple of two floats
-        First and last value in SI units.
+        First and last value of the key in SI units.
     values : ndarray
-        Values in SI units. ngspice sweeps only in one direction. A sweep forwards and back is
-        therefore one sweep beyond the last value in ``ends``, and in its second half the source has
-        the value ``2 last - value``.
+        Values of the swept variable in SI units. ngspice sweeps only in one direction. A sweep
+        forwards and back is therefore one sweep to twice the range. In its second half, the source
+        has the value ``2 last - value``, where ``last`` is the second value in ``ends``.
     """
 
     source: str
@@ -215,14 +215,14 @@ class StepLimit:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Time scales of a part, and numerical requirements of the part.
+    """Numerical requirements of a part: time step, tolerances and simulator options.
 
     ``step`` is the longest time step [s] that resolves the part, for the reason in ``description``.
     ``highest_frequency`` [Hz] is the highest frequency that the part excites in other parts. If
     ``overrides_others`` is true, ``step`` overrides the steps of all other parts. ``reltol`` and
     ``chgtol`` are factors, 1 or less, by which the part reduces the tolerances of the solver.
     ``options`` maps the names of simulator options to value and reason. ``period`` [s] is the
-    period of the waves with which the part drives others; 0 if these waves are not periodic.
+    period of the waves with which the part drives other parts; 0 if the waves are not periodic.
     """
 
     description: str
@@ -237,10 +237,10 @@ class Numerics:
 
 @dataclass(frozen=True)
 class FrameShake:
-    """Acceleration at a ``pin`` of a body, on the node ``net``.
+    """Acceleration signal of a reference frame, at the ``pin`` of a body.
 
-    ``along`` is the cosine of the angle between acceleration and displacement; None if a direction
-    is unknown.
+    ``net`` is the netlist node of the pin. ``along`` is the cosine of the angle between the
+    acceleration and a displacement in the frame; None if one of the directions is unknown.
     """
 
     net: str
@@ -257,7 +257,7 @@ class ShakenFrame:
 
     @property
     def node_shares(self) -> frozenset[tuple[str, float | None]]:
-        """Nodes of the accelerations, with cosines; equal for identical frames."""
+        """Netlist node and cosine of each acceleration; equal for identical frames."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

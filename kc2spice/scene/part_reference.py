@@ -1,4 +1,4 @@
-"""Descriptions of part types, with pins, keys and examples, for the reference."""
+"""Descriptions of part types, with pins, keys and examples, for the reference documentation."""
 
 from __future__ import annotations
 
@@ -66,7 +66,8 @@ def describe_part_type(name: str) -> PartTypeReference:
 def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
     """Return the description of a part type.
 
-    ``examples`` contains a built-in scene for each part type that occurs in one.
+    For each part type in a built-in scene, ``examples`` contains the name of the scene, the part
+    and the scene.
     """
     kind, scene_name = load_part_types()[name], None
     pins: tuple[Terminal, ...] = ()
@@ -93,7 +94,7 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
 
 
 def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
-    """Return the first built-in scene that contains a part of the type, for each type."""
+    """Return, for each part type, the first built-in scene that contains a part of this type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
     for name in list_gallery():
         scene = load_scene(name)

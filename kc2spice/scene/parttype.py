@@ -1,11 +1,11 @@
 """Registry of part types, and results that depend on several parts of a scene.
 
-A module in ``kc2spice.parts`` with the name of a part type defines a subclass of
-:class:`kc2spice.scene.model.PartType`, and calls :func:`register` with an instance. A module named
+Each module in ``kc2spice.parts`` has the name of a part type. It defines a subclass of
+:class:`kc2spice.scene.model.PartType` and passes an instance to :func:`register`. A module named
 ``*_types`` registers several part types. All other modules call the methods of
-:class:`kc2spice.scene.model.PartType` and depend on no particular part type. No list of the modules
-exists: a module is loaded when a scene needs its part type. Other packages declare entry points in
-the group ``kc2spice.parts``.
+:class:`kc2spice.scene.model.PartType` and depend on no particular part type. A module is imported
+only when a scene needs its part type. Other Python packages add part types by entry points in the
+group ``kc2spice.parts``.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.part_records import Vector
 
 PARTS_PACKAGE = "kc2spice.parts"
-SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules with several part types
+SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define several part types
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
     """Return the current into a pin if the only other part at the pin reports its current.
 
-    The current of a source with several loads is the sum of the currents into these loads, so that
-    the result is None.
+    Return None if several other parts are joined to the pin: the current is then the sum of the
+    currents of these parts.
     """
     others = build.scene.joined_pins(part.name, pin)
-    # the current of another body would again follow from the parts at the pin
+    # the current of a body is itself computed from the other parts at the pin
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
     ((name, end),) = others
@@ -51,7 +51,7 @@ def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
 def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
     """Return the flow into a pin: the sum of the flows out of all other parts at the pin.
 
-    The result is None if one of the other parts does not report its flow.
+    Return None if one of the other parts is a body, or has no result for its flow at the pin.
     """
     others = build.scene.joined_pins(part.name, pin)
     if len(others) == 1:
@@ -73,15 +73,19 @@ def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
 
 
 def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
-    """Return the force waveforms [N] that parts exert at their pins; compute them once."""
+    """Return the waveforms of the forces [N] that parts exert at their pins.
+
+    The forces are keyed by part and pin. They are computed only once for each run.
+    """
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Return the forces of all parts."""
+        """Return the build, the waves, and the forces of all parts."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        # the key uses the identities of both objects, so the objects must not be deleted
+        # The cache key contains the ids of both objects. The cached tuple keeps the objects alive,
+        # so that Python does not reuse their ids.
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]
@@ -107,11 +111,11 @@ def register(part_type: PartType) -> PartType:
 
     Raises
     ------
-    UsageError : the type has no schema, or no name that netlists can contain.
+    UsageError : the object is not a part type with a schema, or its name is not valid in netlists.
 
     Examples
     --------
-    A spring of 100 N/m and 1e10 N/m^3 takes 0.1 N at 200 um: 100 x + 1e10 x^3.
+    The force of a hardening spring is 100 x + 1e10 x^3 (in N and m), which is 0.1 N at 200 um.
 
     >>> import kc2spice as kc
     >>> from kc2spice.physics import Declaration, DeclaredPart, displacement
@@ -143,7 +147,9 @@ def register(part_type: PartType) -> PartType:
 
 
 def type_names() -> tuple[str, ...]:
-    """Return the names of all part types; load only modules with several part types.
+    """Return the sorted names of all part types.
+
+    Only modules that define several part types are imported.
 
     ``kc2spice.parts`` contains a folder for each family of parts. The name of a module in the
     folder is the name of its part type. The name of a module with several part types ends with
@@ -159,7 +165,7 @@ def type_names() -> tuple[str, ...]:
 
 @cache
 def _list_modules() -> Mapping[str, str]:
-    """Return the full names of all modules of part types."""
+    """Return the full names of the modules that define part types, keyed by module name."""
     result: dict[str, str] = {}
     for family in pkgutil.iter_modules(import_module(PARTS_PACKAGE).__path__, f"{PARTS_PACKAGE}."):
         modules = pkgutil.iter_modules(import_module(family.name).__path__)

@@ -1,4 +1,7 @@
-"""Checks of plausible ranges; a value outside of its range probably has a wrong unit."""
+"""Checks that key values and voltages are plausible.
+
+A value outside of its plausible range probably has a wrong unit.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +27,12 @@ class ImplausibleError(UsageError):
 
 MAX_LAYER_ASPECT = 10.0  # largest ratio of thickness and width of a layer
 MAX_OVERHANG = 1.02  # largest ratio of ceramic to plate diameter; wider ceramic breaks
-# Ratio of a voltage to the rated voltage. Above 1 the check warns; above this ratio it fails.
+# Ratio of a voltage to the rated voltage. The check warns above 1, and fails above this ratio.
 BREAKDOWN_RATIO = 10.0
-# A value that exceeds a limit by less than this ratio has no wrong unit, because prefixes differ by
-# a factor of 1000.
+# A value of less than this multiple of a limit probably has the right unit, because SI prefixes
+# differ by a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
-LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage, below which the check warns
+LOWEST_DRIVE_RATIO = 1e-4  # ratio of a voltage to the rated voltage; the check warns below it
 _MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
@@ -37,7 +40,10 @@ _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-
 def check_range(
     where: str, value: float, unit: str, low: float, high: float, why: str
 ) -> Iterator[UsageError]:
-    """Yield an error if a value is not between ``low`` and ``high``; ``why`` is the reason."""
+    """Yield an error if a value is not between ``low`` and ``high``.
+
+    ``why`` states why a value outside of these limits is not plausible.
+    """
     if not low <= value <= high:
         units = _ALTERNATIVE_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low < value * size <= high), None)
@@ -45,7 +51,7 @@ def check_range(
             fitting = None  # the value is only slightly too large, so that its unit is not wrong
         limit = high if value > high else low
         micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
-        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # a large M in place of u
+        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # M (mega) in place of u (micro)
             fitting = None
             advice = f'write  "{micro}"  if you mean micro, not mega'
         else:
@@ -60,13 +66,19 @@ def check_range(
 
 
 def check_dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """Yield errors of all keys with plausible ranges, including lists and subtables."""
+    """Yield an error for each key whose value is outside of its plausible range.
+
+    Values in lists and in inner tables are also checked.
+    """
     for name, field in type(keys).model_fields.items():
         yield from _check_value(f"{where}.{name}", plausible_range_of(field), getattr(keys, name))
 
 
 def _check_value(where: str, role: Plausible | None, value: Any) -> Iterator[UsageError]:
-    """Yield the errors of one key, whose value is a number, a list or a table."""
+    """Yield an error for each implausible number in the value of one key.
+
+    The value is a number, a list or a table.
+    """
     if isinstance(value, BaseModel):
         yield from check_dimensions(where, value)
     elif isinstance(value, tuple):
@@ -79,9 +91,11 @@ def _check_value(where: str, role: Plausible | None, value: Any) -> Iterator[Usa
 def check_layers(
     where: str, entries: Iterable[tuple[float, float, bool]], *, plate: bool
 ) -> Iterator[UsageError]:
-    """Yield the errors of a stack of layers ``(width, thickness, ceramic)``.
+    """Yield an error for each layer with an implausible shape.
 
-    Layers must be flat, and ceramic layers must not be wider than the ``plate`` allows.
+    Each entry contains the width [m] and the thickness [m] of a layer, and whether the layer is a
+    ceramic. A layer must be flat. With ``plate``, a ceramic layer must not be wider than its metal
+    plate.
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
@@ -98,15 +112,15 @@ def check_layers(
 
 
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of source voltages at electrodes with a rating.
+    """Yield an error for each source whose voltage is far above the rating of its electrode.
 
-    A voltage slightly above the rating, or far below the rating, causes only a warning.
+    A voltage slightly above the rated voltage, or far below it, causes only a warning.
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
         for name, peak in _peak_voltages(body, scene):
             state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
-            # the same number with another prefix of volt, if this voltage would suit the rating
+            # the same number in V in place of mV, or in mV in place of V, if the rating permits it
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
             fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
             fitting = next(fits, None)
@@ -126,7 +140,10 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
 
 
 def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield the ideal sources between an electrode and ground, and their largest voltages."""
+    """Yield the name and the peak voltage [V] of each source that drives a body.
+
+    Only ideal sources between ground and an electrode of ``body`` count.
+    """
     nets = {scene.net(body, pin.name) for pin in scene.pins(body) if pin.unit == "V"}
     for source in scene.list_parts("source"):
         wave = source.type.voltage(source, scene)
@@ -139,7 +156,7 @@ def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 def check_models(build: Build) -> Iterator[UsageError]:
-    """Yield errors of characteristic values of models, such as the mass of a meshed body."""
+    """Yield an error for each part whose model has an implausible mass."""
     for part in build.scene.parts.values():
         mass = build.facts(part).get("mass_kg")
         if mass is not None:

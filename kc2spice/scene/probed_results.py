@@ -1,4 +1,4 @@
-"""Check that the results exist which the probes of a scene read.
+"""Check that each result that a probe of a scene reads exists.
 
 The input is a build with or without models. The error about an unknown result names the probe and
 suggests existing results.
@@ -62,7 +62,7 @@ def require_probed_results(build: Build) -> None:
 def _require_noise_output(build: Build, waiting: Collection[str]) -> None:
     """Raise an error for an unknown output of a noise analysis.
 
-    The results of the parts ``waiting`` for their models are not checked.
+    Results of the parts in ``waiting``, whose models are not built yet, are not checked.
     """
     name, where = str(build.scene.analysis.output), build.scene.where("analysis.output")
     owner, parts = name.partition(".")[0], build.scene.parts
@@ -73,7 +73,10 @@ def _require_noise_output(build: Build, waiting: Collection[str]) -> None:
 
 
 def list_all_results(scene: Scene) -> list[str]:
-    """List the results that probes of a scene may read, except results of its models."""
+    """Return the names of the results that probes of a scene may read.
+
+    Results whose names depend on a model are omitted.
+    """
     waiting = {name for name, part in scene.parts.items() if part.type.results_of_model}
     return _list_results(Build(scene, {}), waiting)
 
@@ -81,7 +84,10 @@ def list_all_results(scene: Scene) -> list[str]:
 def _make_unknown_result_error(
     build: Build, name: str, where: str, waiting: Collection[str]
 ) -> UsageError:
-    """Return the error about an unknown result; ``waiting`` are parts without a model yet."""
+    """Return the error about an unknown result.
+
+    ``waiting`` are the parts whose models are not built yet.
+    """
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
     if owner in parts:
@@ -92,7 +98,7 @@ def _make_unknown_result_error(
 
 
 def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> UsageError:
-    """Return the error of a result ``name`` of a part that the scene lacks."""
+    """Return the error about a result ``name`` whose part the scene does not contain."""
     owner, dot, result = name.partition(".")
     near = did_you_mean(owner, parts)
     advice = near and near.replace("'?", f"{dot}{result}'?")
@@ -115,8 +121,8 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
 def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
     """Return the names of all results that a probe may read.
 
-    The result includes motions at ports that are not joined, and currents and powers for which an
-    ammeter is added only if a probe reads them.
+    The names include motions at ports that are not joined. They also include currents and powers
+    for which an ammeter is added only if a probe reads them.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(with_vectors(replace(build, scene=scene), waiting))

@@ -120,12 +120,12 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
                 where="analysis.back",
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
-                hint="delete back",
+                hint="delete the key back",
             )
 
 
 def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of the frequency range of an ``ac`` or ``noise`` analysis."""
+    """Yield an error if the frequency range of an ``ac`` or ``noise`` analysis is invalid."""
     selected = scene.analysis
     if not selected.is_small_signal:
         return
@@ -169,7 +169,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error of a noise analysis without an output, or of an output without noise."""
+    """Yield an error if a noise analysis has no output, or if another analysis has an output."""
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
@@ -190,7 +190,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error of a noise analysis that begins at 0 Hz, which ngspice rejects."""
+    """Yield an error if a noise analysis begins at 0 Hz, which ngspice rejects."""
     start, stop = selected.start, selected.stop
     if selected.type == "noise" and start <= 0 and stop:
         yield UsageError(
@@ -203,7 +203,10 @@ def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of the key that a dc analysis sweeps, and of the range of the sweep."""
+    """Yield an error if the key that a dc analysis sweeps belongs to no part.
+
+    Also check the units of the first and the last value of the sweep.
+    """
     selected = scene.analysis
     name, _, _ = (selected.sweep or "").partition(".")
     if name not in scene.parts:
@@ -225,7 +228,7 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
-    """Yield errors of keys that have no effect in this type of analysis.
+    """Yield an error for each key of ``analysis`` without effect in this type of analysis.
 
     Separate functions check the keys ``sweep``, ``back`` and ``output``.
     """
@@ -252,7 +255,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of probes whose key ``periods`` exceeds the periods of the run."""
+    """Yield an error for each probe that reads more periods than the run contains."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
             yield from _check_window(f"probes.{name}.periods", probe.periods, scene)
@@ -267,7 +270,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
             where=where,
             got=got,
             expected=expected,
-            hint="delete periods",
+            hint="delete the key periods",
         )
         return
     period = scene.period
@@ -295,7 +298,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error if the analysis cannot compute a sound pressure level."""
+    """Yield an error if a probe reads a sound pressure level that the analysis cannot compute."""
     if probe.take != "spl":
         return
     kinds = ("ac",) if probe.at is not None else ("ac", "transient")
@@ -310,7 +313,7 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
 
 
 def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the position of a probe is outside of the range of the analysis."""
+    """Yield an error if a probe reads a point outside of the range of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
@@ -338,7 +341,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
 
 
 def _scale_unit(scene: Scene) -> str | None:
-    """Return the unit of the scale of the analysis; None if it is not known."""
+    """Return the unit of the time, frequency or swept key of the analysis; None if unknown."""
     selected = scene.analysis
     if selected.type != "dc":
         return ANALYSIS_UNITS.get(selected.type)

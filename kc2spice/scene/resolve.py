@@ -1,4 +1,4 @@
-"""Calls of the methods of part types, each after the methods that it depends on.
+"""Calls of the methods of part types, in the order in which the methods depend on each other.
 
 The input is a scene with checked keys. The resolved scene contains a :class:`PartRecord` of each
 part, the nets and the reference frames. Later stages read the records and do not call the methods
@@ -26,7 +26,7 @@ def resolve(scene: Scene) -> Scene:
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.scene.compose.join_parts`.
+    UsageError : pins cannot be joined; :func:`kc2spice.scene.compose.join_parts` lists the reasons.
     """
     if any(scene.record(part) is None for part in scene.parts.values()):
         scene = with_governed(scene)
@@ -34,18 +34,19 @@ def resolve(scene: Scene) -> Scene:
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with results and settable quantities of its parts.
+    """Return the build with the results of its parts, and the sources that an analysis can set.
 
-    The settable quantities of a part depend on the equilibrium conditions of other parts.
+    The sources that can be set in a part depend on the equilibrium conditions of other parts.
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.scene.results.resolve_dc_sweep` and
-        :func:`kc2spice.scene.results.find_noise_output`.
+    UsageError : a dc analysis cannot sweep its key, or the output of a noise analysis is invalid
+        (:func:`kc2spice.scene.results.resolve_dc_sweep`,
+        :func:`kc2spice.scene.results.find_noise_output`).
     """
     build = with_vectors(build)
     records = dict(build.records)
-    for part in _with_cards(build):
+    for part in _parts_with_cards(build):
         settable = part.type.settable(part, build)
         records[part.name] = replace(records[part.name], settable=settable)
     build = replace(build, records=records)
@@ -57,23 +58,24 @@ def resolve_build(build: Build) -> Build:
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
     """Return the build with equilibrium conditions and results of its parts.
 
-    The parts in ``without`` get no results. The current of a body follows from the results of the
-    parts that are joined to the body. Parts without cards have no results.
+    The parts in ``without`` get no results. The current of a body is computed from the results of
+    the parts that are joined to the body; bodies therefore come last. Parts without cards have no
+    results.
     """
     records = {}
     for name, part in build.scene.parts.items():
         records[name] = BuildRecord(part.type.equilibrium_with_model(part, build))
     for reduced in (False, True):
         build = replace(build, records=dict(records))
-        for part in _with_cards(build):
+        for part in _parts_with_cards(build):
             if part.reduced == reduced and part.name not in without:
                 vectors = part.type.vectors(part, build)
                 records[part.name] = replace(records[part.name], vectors=vectors)
     return replace(build, records=records)
 
 
-def _with_cards(build: Build) -> list[Part]:
-    """Return the parts with cards, which no other part copies or moves."""
+def _parts_with_cards(build: Build) -> list[Part]:
+    """Return the parts that have cards in the deck, because no other part copies or moves them."""
     scene = build.scene
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
@@ -94,7 +96,7 @@ def with_governed(scene: Scene) -> Scene:
         records=records,
         movers=_find_movers(governed_parts),
         initial_states=_find_initial_states(governed_parts),
-        without_cards=_find_without_cards(governed_parts),
+        without_cards=_find_parts_without_cards(governed_parts),
     )
     for part in scene.parts.values():
         shared_data = part.type.shared_data(part, scene)
@@ -115,10 +117,10 @@ def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -
 def _find_initial_states(
     governed_parts: Mapping[str, Mapping[str, State | Governed]],
 ) -> dict[str, State]:
-    """Return the states at t = 0 that keys state, keyed by part.
+    """Return the states at t = 0 that keys prescribe, keyed by part.
 
     A transient with such states does not start at an operating point. A state that another part
-    states replaces a state that the part itself states.
+    prescribes replaces a state that the part itself prescribes.
     """
     result: dict[str, State] = {}
     for owner, answer in governed_parts.items():
@@ -128,10 +130,10 @@ def _find_initial_states(
     return result
 
 
-def _find_without_cards(
+def _find_parts_without_cards(
     governed_parts: Mapping[str, Mapping[str, State | Governed]],
 ) -> frozenset[str]:
-    """Return the parts without cards, which other parts copy or move."""
+    """Return the names of the parts without cards, because other parts copy or move them."""
     rows = chain.from_iterable(answer.items() for answer in governed_parts.values())
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 

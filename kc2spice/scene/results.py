@@ -87,8 +87,8 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
     """Return the results at pins with an ammeter, in SI units.
 
     ``PART.PIN.current`` is the current into the part at the pin, and ``PART.PIN.v`` the voltage of
-    the pin. ``PART.current`` is the current at the first pin. In other domains, the names of both
-    quantities differ.
+    the pin. ``PART.current`` is the current at the first pin. In other domains, the names of the
+    domain's flow and across quantity replace ``current`` and ``v``.
     """
     result: dict[str, Vector] = {}
     for name, pin in build.scene.meters:
@@ -103,7 +103,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         for part in _probed_parts(build, quantity_name):
             known_as = f"{part.name}.{symbol}"
-            if known_as in known:  # the flow of an element, with a second name as for bodies
+            if known_as in known:  # second name of the flow of an element, as for bodies
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _probed_parts(build, "power"):
         result |= _collect_across(part, build)
@@ -144,7 +144,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
 
 
 def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
-    """Return the terms of the power of a part; empty if a result is missing.
+    """Return the terms whose sum is the power of a part; empty if a result is missing.
 
     The terms are the powers at the pins of the part, or products of results of the part.
     """
@@ -158,7 +158,7 @@ def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers
 
 
 def _part_power(name: str, domain: Domain) -> PowerTerm:
-    """Return the power term of the across and the through quantity of a part."""
+    """Return the power term for the across and the through quantity of a part."""
     across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
@@ -172,7 +172,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
 
 
 def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
-    """Yield the parts of which a probe reads the result ``PART.QUANTITY``."""
+    """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
     for result in build.scene.probed_results:
         name, _, read = result.partition(".")
         if read == quantity_name and name in build.scene.parts:
@@ -191,8 +191,8 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
         return None
     name, _, key = str(selected.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
-    moved = build.records[part.name].settable.get(key)
-    if not isinstance(moved, SweptSource):
+    swept = build.records[part.name].settable.get(key)
+    if not isinstance(swept, SweptSource):
         raise UsageError(
             "a dc analysis cannot sweep this key",
             where=scene.where("analysis.sweep"),
@@ -201,11 +201,11 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
             hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps this key",
         )
     unit = _unit_of_key(part, key)
-    first, last = ends = moved.range or _sweep_ends(selected, unit)
+    first, last = ends = swept.range or _sweep_ends(selected, unit)
     turns = 2 if selected.back else 1
     points = turns * (selected.points - 1) + 1
     values = np.linspace(first, first + turns * (last - first), points)
-    return DcSweep(moved.source, moved.scale, unit, part.name, key, ends, values)
+    return DcSweep(swept.source, swept.scale, unit, part.name, key, ends, values)
 
 
 def _unit_of_key(part: Part, key: str) -> str:

@@ -1,4 +1,4 @@
-"""Reading of scene files, and search for the lines of their keys."""
+"""Reader of scene files, and search for the line that sets a key."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene file with overrides, in which errors locate keys."""
+    """Text of a scene file with its overrides; it locates keys for error messages."""
 
     label: str
     stem: str
@@ -53,7 +53,7 @@ class SceneFile:
     def where(self, key: str) -> str:
         """Return the override or the line that sets a key such as ``disc.layers.0.diameter``.
 
-        An empty key stands for the whole scene.
+        For an empty key, return the name of the scene or file.
         """
         if not key:
             return self.label
@@ -133,7 +133,7 @@ def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> Usage
 def _add_entry_numbers(
     table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
 ) -> tuple[str, ...]:
-    """Return the path of a table, with entry numbers where it contains lists of tables."""
+    """Return the path of a table, with an entry number after each list of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])
@@ -143,7 +143,10 @@ def _add_entry_numbers(
 
 
 def _find_line(text: str, path: tuple[str, ...]) -> int | None:
-    """Return the number of the line that sets ``path``, or the longest beginning of it."""
+    """Return the number of the line that sets the key with this ``path``.
+
+    If no line sets the key, return the line of the innermost table that contains the key.
+    """
     table: tuple[str, ...] = ()
     counts: dict[tuple[str, ...], int] = {}  # number of entries of each list of tables
     best: tuple[int, int | None] = (0, None)

@@ -1,4 +1,4 @@
-"""Schemas of the tables of a scene that are no parts.
+"""Schemas of those tables of a scene that do not describe parts.
 
 Each class is the schema of a table of the scene file: analysis, probes, reduction, solver, checks
 or gates. The class contains the default and the description of every key.
@@ -30,18 +30,21 @@ from kc2spice.core.quantities import (
 )
 
 Action = Literal["fail", "warn", "off"]
-# pattern of texts that are written to the netlist
-_ONE_LINE_PATTERN = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"
+# pattern of one character of the strings that are written to the netlist
+_PRINTABLE_CHARACTER = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"
 PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
-FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE_PATTERN}+$", max_length=255)]
+FileName = Annotated[str, Field(pattern=rf"^{_PRINTABLE_CHARACTER}+$", max_length=255)]
 
 
 class Rom(Section):
-    """Keys of a reduction: either a fixed order, or a tolerance over a band (default)."""
+    """Keys of a model reduction: either a fixed order, or an error tolerance (default).
+
+    The tolerance applies in a frequency band.
+    """
 
     unsupported_key_hints: ClassVar[Mapping[str, str]] = {
-        "method": "leave it out: scenes choose the method; a method by its name is selected by "
-        "kc2spice reduce SCENE:PART --method NAME, or by kc.reduce in Python"
+        "method": "delete the key method: scenes choose the method; to select a method by name, "
+        "run kc2spice reduce SCENE:PART --method NAME, or call kc.reduce in Python"
     }
 
     order: Annotated[Count | None, RefinementRule(2.0)] = Field(
@@ -57,24 +60,28 @@ class Rom(Section):
         lt=1,
         validate_default=True,
         description=(
-            "Largest relative error over the band; 1e-4 by default, if order has no value"
+            "Largest relative error of the reduced model in the frequency band; 1e-4 by default, "
+            "if order has no value"
         ),
     )
     band: tuple[Frequency, Frequency] = Field(
-        (0.0, 500e3), description="Lowest and highest frequency at which the error estimate holds"
+        (0.0, 500e3),
+        description="Lowest and highest frequency of the band in which the error estimate of the "
+        "reduced model holds",
     )
     norm: Literal["pointwise", "peak"] | None = Field(
         None,
         description=(
-            "Norm of the error; by default peak if all ports are signals, otherwise pointwise"
+            "Norm that measures the error of the reduced model; by default peak if all ports are "
+            "signals, otherwise pointwise"
         ),
     )
 
     parameters: dict[str, tuple[float | str, float | str]] | None = Field(
         None,
         description=(
-            "Parameters of the subcircuit: up to four keys of the body, with ranges over which "
-            "the error estimate holds"
+            "Parameters of the subcircuit: up to four keys of the body, each with the range of "
+            "values for which the error estimate holds"
         ),
     )
 
@@ -114,13 +121,13 @@ class Solver(Section):
 
     # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
     reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
-        1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
+        1e-4, gt=0, lt=1, description="Relative error tolerance of ngspice (option RELTOL)"
     )
     chgtol: Annotated[Charge, RefinementRule(0.1, finest=1e-14)] = Field(
         1e-8,
         gt=0,
-        description="Charge tolerance of ngspice; in mode capacitors, a charge of 1 uC is a "
-        "displacement of 1 um",
+        description="Charge tolerance of ngspice (option CHGTOL); in capacitors that represent "
+        "vibration modes, a charge of 1 uC is a displacement of 1 um",
     )
     trtol: Ratio = Field(
         1.0,
@@ -131,8 +138,8 @@ class Solver(Section):
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
         description=(
-            "Time resolution of body vibrations; coarse needs fewer steps, if only the motion "
-            "of other parts is of interest"
+            "Time resolution of body vibrations; coarse takes fewer time steps, and is accurate "
+            "enough if only the motion of other parts is of interest"
         ),
     )
     method: Literal["trap", "gear"] = Field(
@@ -143,12 +150,15 @@ class Solver(Section):
         gt=0,
         description=(
             "Largest time step; by default computed from sources and resonances (kc2spice "
-            "explain prints them)"
+            "explain prints the step)"
         ),
     )
     stop: Time = Field(5e-3, gt=0, description="End of the transient")
     retries: Count = Field(
-        3, ge=0, le=4, description="Number of further attempts with other settings after a failure"
+        3,
+        ge=0,
+        le=4,
+        description="Number of further attempts with other solver settings after ngspice fails",
     )
 
 
@@ -204,7 +214,10 @@ class Bench(Section):
 
 
 class ErrorLimits(Section):
-    """Keys of the largest accepted errors; values with a dimension need a unit."""
+    """Keys of the largest accepted differences between two solutions of a scene.
+
+    Values with a dimension need a unit.
+    """
 
     launch_velocity: Ratio | None = Field(
         None,
@@ -219,7 +232,7 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest difference of the trajectory between ngspice and the reference solution; "
-            "by default launch_velocity * distance"
+            "by default the product of the keys launch_velocity and distance"
         ),
     )
     launch_full_model: Ratio | None = Field(
@@ -234,7 +247,7 @@ class ErrorLimits(Section):
         1e-4,
         gt=0,
         description=(
-            "Largest difference of the position in an impact between any two solutions, "
+            "Largest difference of the position between any two solutions of an impact, "
             "relative to the travel"
         ),
     )
@@ -326,7 +339,7 @@ class ErrorLimits(Section):
     )
 
 
-# unit of the scale of each type of analysis
+# unit of the independent variable (time or frequency) of each type of analysis
 ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
 SMALL_SIGNAL_ANALYSES = ("ac", "noise")  # linear about an operating point
 
@@ -361,8 +374,10 @@ class Analysis(Section):
         None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
     )
     sweep: str | None = Field(None, description="Key that a dc analysis varies, such as PART.dc")
-    from_: Any = Field(0.0, alias="from", description="First value of a dc analysis")
-    to: Any = Field(1.0, description="Last value of a dc analysis")
+    from_: Any = Field(
+        0.0, alias="from", description="First value of the key that a dc analysis sweeps"
+    )
+    to: Any = Field(1.0, description="Last value of the key that a dc analysis sweeps")
     back: bool | None = Field(
         None,
         description=(
@@ -374,7 +389,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Convert the end to a time for a transient, and to a frequency for ac and noise."""
+        """Convert ``stop`` to a time for a transient, and to a frequency for other analyses."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
@@ -399,13 +414,13 @@ class Analysis(Section):
 class Probe(Section):
     """Keys of a probe: the result that it reads, and the value that becomes a metric.
 
-    ``argmax`` is the position of the largest value on the scale (Hz in ``ac``, s in a transient).
-    ``value`` is the value at the position ``at``. ``frequency`` is the mean frequency of the cycles
-    in the last half of the run. ``spl`` is the sound pressure level in dB re 20 uPa in gases and 1
-    uPa in liquids. In an ac analysis, ``spl`` is the level at the frequency ``at`` or the largest
-    level; in a transient, ``spl`` is the level of the rms pressure. Of complex values, the
-    magnitude is used. With a window (``from`` and ``to``, or the last ``periods``), a probe reads
-    only the points in the window, such as a steady state.
+    ``argmax`` is the frequency, time or swept value at which the result is largest.
+    ``value`` is the value of the result at the frequency, time or swept value ``at``. ``frequency``
+    is the mean frequency of the cycles in the last half of the run. ``spl`` is the sound pressure
+    level in dB re 20 uPa in gases and 1 uPa in liquids. In an ac analysis, ``spl`` is the level at
+    the frequency ``at`` or the largest level; in a transient, ``spl`` is the level of the rms
+    pressure. A probe reads the magnitudes of complex values. With a window (``from`` and ``to``, or
+    the last ``periods``), a probe reads only the points in the window, such as a steady state.
     """
 
     of: str = Field(
@@ -430,8 +445,8 @@ class Probe(Section):
     ] = Field(
         "max",
         description=(
-            "Value that the probe computes from the result; `value` is the result at the place "
-            "`at`, `spl` the sound pressure level in dB"
+            "Value that the probe computes from the result; `value` is the result at the "
+            "frequency or time `at`, `spl` the sound pressure level in dB"
         ),
     )
     at: Place | None = Field(
@@ -470,7 +485,7 @@ class Probe(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_value_at_place(cls, data: Any) -> Any:
+    def _set_default_take(cls, data: Any) -> Any:
         return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
 
     @model_validator(mode="after")
@@ -502,7 +517,7 @@ class Probe(Section):
                 hint="delete the key periods",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            hint = "exchange from and to" if self.from_ > self.to else "raise to"
+            hint = "exchange from and to" if self.from_ > self.to else "raise the key to"
             raise invalid_value_error("the window is empty", "from < to", hint=hint)
         return self
 
@@ -517,8 +532,8 @@ class SceneKeys(Section):
     title: str = Field(
         "",
         max_length=200,
-        pattern=rf"^{_ONE_LINE_PATTERN}*$",
-        description="Title of the scene, a text of one line",
+        pattern=rf"^{_PRINTABLE_CHARACTER}*$",
+        description="Title of the scene, in one line",
     )
     gravity: Acceleration = Field(
         9.81, description="Gravitational acceleration, positive downwards"
@@ -528,8 +543,8 @@ class SceneKeys(Section):
         gt=0,
         lt=1,
         description=(
-            "Largest relative error of every metric; the run refines the numerical settings "
-            "without a value in the scene until all errors are below this value"
+            "Largest relative error of every metric; the run refines all numerical settings "
+            "that the scene does not set, until all errors are below this value"
         ),
     )
     analysis: Analysis = Analysis()

@@ -1,4 +1,4 @@
-"""Checks at the start of an analysis: paths to references, and jumps of velocity."""
+"""Checks before an analysis starts: paths of nets to their references, and velocity jumps."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def find_start_errors(
 ) -> Iterator[UsageError]:
     """Yield the errors that prevent the start of the analysis.
 
-    An error is a net without an operating point, or a source that makes the velocity of a mass
-    jump. The force of such a jump is an impulse, so that the result of a simulator would depend on
+    An error concerns a net without an operating point, or a source that makes the velocity of a
+    mass jump. The force of such a jump is an impulse, so that the computed motion would depend on
     the time step.
 
     Parts without a model are treated as elastic clamps.
@@ -85,13 +85,13 @@ def _position_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield errors about floating positions without an operating point."""
+    """Yield errors about floating displacement nets that have no operating point."""
     kind, path = scene.analysis.type, result.domain.path_to_reference
-    heavy = [
+    inertial_parts = [
         name for name, rest in conditions.items() if rest.inertial_pins and name in result.parts
     ]
-    part_name = (*result.bodies, *heavy, *result.parts)[0]
-    pushed = _list_loads(group, scene, conditions)
+    part_name = (*result.bodies, *inertial_parts, *result.parts)[0]
+    pushed = _list_loading_parts(group, scene, conditions)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
@@ -120,10 +120,10 @@ def _position_errors(
         )
 
 
-def _list_loads(
+def _list_loading_parts(
     group: frozenset[str], scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> list[str]:
-    """Return the parts that apply a constant force or flow to these nets at t = 0."""
+    """Return the parts that apply a constant force or flow to nets of ``group`` at t = 0."""
     result = []
     for name, rest in conditions.items():
         if not group.isdisjoint(scene.nets_of(name, rest.loaded_pins)):
@@ -137,7 +137,7 @@ def _storage_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield errors about floating temperatures or pressures without an operating point.
+    """Yield errors about floating temperature or pressure nets that have no operating point.
 
     Without a constant flow, such nets have an operating point, because heat or volume is only
     stored. The losses of a part count as a constant flow, because they depend on the operating
@@ -145,7 +145,7 @@ def _storage_errors(
     """
     kind, domain = scene.analysis.type, result.domain
     losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
-    pushed = list(dict.fromkeys([*_list_loads(group, scene, conditions), *losses]))
+    pushed = list(dict.fromkeys([*_list_loading_parts(group, scene, conditions), *losses]))
     if kind not in ("op", "dc") and not pushed:
         return
     ends = (key for key, terminal in scene.terminals.items() if terminal.domain is domain)
@@ -193,7 +193,7 @@ def _list_velocity_jump_errors(
 
 
 def _units_of_nets(scene: Scene) -> dict[str, str]:
-    """Return the units of the pins whose nets need a path to their reference."""
+    """Return the pin unit of each net that needs a path to its reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:
