@@ -145,7 +145,8 @@ def _add_entry_numbers(
 def _find_line(text: str, path: tuple[str, ...]) -> int | None:
     """Return the number of the line that sets the key with this ``path``.
 
-    If no line sets the key, return the line of the innermost table that contains the key.
+    If no line sets the key, return the line of the longest leading part of its path, such as the
+    header of its table.
     """
     table: tuple[str, ...] = ()
     counts: dict[tuple[str, ...], int] = {}  # number of entries of each list of tables

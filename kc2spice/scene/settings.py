@@ -389,7 +389,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Convert ``stop`` to a time for a transient, and to a frequency for other analyses."""
+        """Convert ``stop`` to a time in a transient, or to a frequency in ``ac`` and ``noise``."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop

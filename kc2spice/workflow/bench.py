@@ -8,13 +8,15 @@ error of the unchanged scene.
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference has converged. If the scene sets a key to its finest value,
 such as a ``reltol`` of 1e-7, there is no finer run. The change by a coarser value is then part of
-every error. The unchanged scene also has the same error estimate as with an ``error_budget``.
+every error. For the unchanged scene, ``bench`` also computes the same error estimate as a run with
+an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
 
-Errors of two keys may cancel by chance. A setting is therefore within the limit only if the sum of
-the errors of its single values is also within the limit::
+Errors of two keys may cancel by chance. A combination of settings is therefore within the limit
+only if the sum of the errors of its single values is also within the limit. For a metric m, the
+settings ``own`` of the scene, and the value v_k of the key k, this sum is::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
 """
@@ -56,9 +58,9 @@ REFINEMENT_STEPS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
 # Refinement steps of all settings in the run that checks the reference, and in the reference.
 CHECK_STEPS = 1.5
 REFERENCE_STEPS = 2.0
-MAX_POINTS = 80
+MAX_POINTS = 80  # largest number of combinations of settings that the search runs
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
-# Ratio of CPU times to the unchanged scene, above which settings are timed only once.
+# Ratio of the CPU time to that of the unchanged scene, above which settings are timed only once.
 SLOW_TIME_RATIO = 5.0
 EQUAL_TIME_RATIO = 1.05  # ratio of CPU times that count as equal in the choice between two errors
 
@@ -101,7 +103,7 @@ class _SettingSearch:
 
     def __init__(self, run: Run) -> None:
         finer, finest = find_numerical_settings(run.build), find_finest_settings(run.build)
-        # A finer mesh does not change the time of the simulator.
+        # A finer mesh does not change the CPU time of the simulator.
         self.varied_settings = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [setting.name for setting in finest if not setting.model]
         self.runs = RefinedRuns(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
@@ -174,7 +176,7 @@ class _SettingSearch:
     def error_bound(self, point: _TimedRun) -> float:
         """Return the error bound of a combination: the sum of the errors of its single values.
 
-        The result is the largest sum of all metrics.
+        The sum is computed for each metric; the result is the largest of these sums.
         """
         errors = [
             *map(self.setting_errors, self.varied_settings, point.combination),
@@ -187,7 +189,10 @@ class _SettingSearch:
         return max(point.error, self.error_bound(point))
 
     def find_cheapest(self, limit: float) -> _TimedRun | None:
-        """Return the fastest combination within ``limit``, the most accurate of several."""
+        """Return the fastest combination whose error is within ``limit``; None if there is none.
+
+        Of several equally fast combinations, return the most accurate one.
+        """
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
         fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
@@ -196,7 +201,8 @@ class _SettingSearch:
     def run_combinations(self, limit: float, progress: Progress) -> None:
         """Run combinations with one changed setting, then search the fastest combinations.
 
-        The search is made within ``limit``, and within the error of the unchanged scene.
+        One search accepts errors up to ``limit``, and another one errors up to the error of the
+        unchanged scene.
         """
         origin = (0.0,) * len(self.varied_settings)
         combinations = [origin]
@@ -218,7 +224,8 @@ class _SettingSearch:
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
         """Run coarser neighbours of the fastest combination until no faster combination is found.
 
-        If no combination is within ``limit``, run finer neighbours of the most accurate one.
+        If the error of no combination is within ``limit``, run finer neighbours of the most
+        accurate combination.
         """
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MAX_POINTS:
@@ -235,7 +242,7 @@ class _SettingSearch:
                     )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Repeat the runs of all combinations except slow ones, in rounds."""
+        """Repeat the runs of all combinations except slow ones, to measure their CPU times."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].time
         repeated = [point for point in self.points.values() if point.time <= longest]
         for turn in range(1, repeats):
@@ -329,7 +336,8 @@ def bench(
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     """Return the metrics of ``run`` with ``names``, or whose names begin with a name and a dot.
 
-    Without ``names``, the result is all metrics that are single numbers, otherwise all curves.
+    Without ``names``, the result is all metrics that are single numbers; if there are none, all
+    curves.
 
     Raises
     ------
@@ -349,7 +357,7 @@ def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
 def _measure_convergence(
     search: _SettingSearch, selected: Sequence[str], *, keep_all: bool
 ) -> Errors:
-    """Return the change of each selected metric at the finest settings.
+    """Return the change of each selected metric between the two finest settings.
 
     The converging metrics become the ``names`` of the search; with ``keep_all``, all metrics do.
 
@@ -413,7 +421,7 @@ def _describe_settings(settings: Mapping[str, Any]) -> str:
 
 
 def _format_setting(value: Any) -> str:
-    """Return a number, a range or a text of a setting as text."""
+    """Return the value of a setting as text; the value is a number, a range or a string."""
     if isinstance(value, list):
         return "…".join(map("{:g}".format, value))
     return value if isinstance(value, str) else f"{value:g}"

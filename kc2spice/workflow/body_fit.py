@@ -59,10 +59,10 @@ ParameterAxes = dict[str, ParameterAxis]
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """Body with its varied keys, and the measurement.
+    """Body with its varied keys, and the measurement to which the keys are fitted.
 
     The scene ``like`` defines the mesh. ``counted`` is the number of computed finite-element
-    models.
+    models. ``last`` contains the latest full model.
     """
 
     scene: Scene
@@ -81,7 +81,7 @@ class BodyFit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation (n,) of the real part, and of the imaginary part, of log Y."""
+        """Standard deviation of the real part, and of the imaginary part, of the measured log Y."""
         return max(self.data.noise, MIN_NOISE)
 
     @property
@@ -90,10 +90,10 @@ class BodyFit:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """Return the full model at values of the keys, and its first electrical port.
+        """Return the full model at ``values`` of the keys, with only its first electrical port.
 
-        The model has a new mesh. With ``moved``, the mesh is the mesh of ``like`` with displaced
-        nodes.
+        With ``moved``, the model has the mesh of the scene ``like`` with displaced nodes.
+        Otherwise, the model has a new mesh.
 
         Raises
         ------
@@ -155,8 +155,8 @@ class BodyFit:
     def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of a reduced model with complex constants of IEEE 176.
 
-        The stiffness of the scene applies at the frequency of the damping, or at the lowest
-        resonance that a voltage excites.
+        The stiffness in the scene is the stiffness at the frequency of the damping, or at the
+        lowest resonance that a voltage excites.
         """
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
@@ -168,9 +168,10 @@ class BodyFit:
         return np.asarray(2j * np.pi * f * H)
 
     def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return angular frequencies (n,) and gains (n, 1) of the modes of a reduced model.
+        """Return the modes of a reduced model, and the lowest resonance that a voltage excites.
 
-        The third result is the lowest resonance [Hz] that a voltage excites.
+        The results are the angular frequencies [rad/s] of the n modes, their voltage gains (an
+        array of shape (n, 1)), and the frequency [Hz] of the resonance.
         """
         K, _, M = pencil.dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
@@ -183,9 +184,9 @@ class BodyFit:
     def viscous_response(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance (n,) [S] with damping in proportion to the stiffness.
+        """Return the admittance (n,) [S] with viscous damping in proportion to the stiffness.
 
-        The Q factor at the lowest excited resonance follows from the values.
+        The Q factor at the lowest resonance that a voltage excites is that of the ``values``.
         """
         at = self.damping.frequency(self.modes(pencil)[2])
         assert at is not None
@@ -194,7 +195,7 @@ class BodyFit:
         return self.lossy_admittance(charge, float(model.D[0, 0]), values)
 
     def loss_factor(self, values: Mapping[str, float]) -> float:
-        """Return ``1 / Q`` at values of the keys."""
+        """Return the loss factor ``1 / Q`` of the motion at ``values`` of the keys."""
         known = {name: values[name] for name in LOSS_FACTORS if name in values}
         if not known:
             return 2 * self.damping.zeta
@@ -209,7 +210,7 @@ class BodyFit:
     def lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance (n,) [S] with the loss of the dielectric.
+        """Return the admittance (n,) [S] with dielectric loss, from the charge without this loss.
 
         ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
         """
@@ -259,7 +260,7 @@ class BodyFit:
         return {name: column / self.noise for name, column in result.items()}
 
     def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of a reduced model."""
+        """Return the admittance (n,) [S] of a reduced model at ``values`` of the keys."""
         model = reduced.at(values)
         if self.damping.model == "ieee176":
             return self.complex_constants_response(model.pencil, values)
@@ -269,7 +270,7 @@ class BodyFit:
     def reduce(
         self, parameter_axes: ParameterAxes, degree: int | None = None
     ) -> DenseParametricModel:
-        """Return the reduced model over a parameter range."""
+        """Return a reduced model that is valid in the parameter ranges ``parameter_axes``."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()

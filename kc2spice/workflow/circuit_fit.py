@@ -157,7 +157,7 @@ class CircuitFit:
         return dict(zip(map(attrgetter("key"), self.keys), values.tolist(), strict=True))
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the keys by the dotted names that they have in the scene."""
+        """Return values of the keys, keyed by their dotted names in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
@@ -188,7 +188,10 @@ class CircuitFit:
             return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (2 n, keys), by one-sided differences inside the range."""
+        """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
+
+        They are computed by one-sided differences inside the range.
+        """
         columns, middle, first = [], np.mean(self.bounds, axis=0), self.deviation(x)
         for k in range(len(x)):
             step = np.zeros_like(x)
@@ -260,7 +263,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
 
 
 def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
-    """Return the record of a curve; ``size`` (n,) are the relative errors of |Z|."""
+    """Return the record of a curve; ``size`` contains the relative errors of |Z|."""
     return {
         "data": Path(curve.data.where).name,
         "set": dict(curve.overrides),

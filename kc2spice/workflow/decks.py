@@ -1,6 +1,6 @@
 """Deck of a scene from the models of its parts.
 
-The parts supply their cards, libraries and results by the methods of their types.
+The methods of the part types supply the cards, libraries and results of the parts.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measures
 from kc2spice.workflow.models import build_models
 
-# H; at rest, this inductance fixes a displacement; above 1 uHz, it acts like less than a millionth
-# of 1 fg
+# Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, its force is
+# less than the inertia force of a millionth of 1 fg.
 HOLD_INDUCTANCE = 1e30
 
 
@@ -67,7 +67,7 @@ def prepare_deck(
 
 
 def make_deck(build: Build) -> Deck:
-    """Return the testbench of a scene with its libraries.
+    """Return the deck of a scene with its libraries.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def make_deck(build: Build) -> Deck:
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
     analysis = make_analysis_cards(build)
-    # a separate comment line of the deck contains the reason
+    # a separate comment line of the deck contains the reason for the largest time step
     ours = () if scene.solver.max_step else (MAX_STEP_KEY,)
     notes = (*header.origin(), *model_comments(plan, ours))
     libraries = list(_list_libraries(build, header))
@@ -230,7 +230,7 @@ def _step_comment_lines(build: Build) -> Iterator[str]:
 
 
 def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
-    """Return the initial values of a transient by node.
+    """Return the initial node voltages [V] of a transient, keyed by node.
 
     A net that only dampers connect to other nets begins at 0.
     """

@@ -43,12 +43,13 @@ def export_scene(
     Bodies from files have all ports that their files declare, including ports that are not joined.
     Returns the paths of the files. With ``trust``, included netlists may execute programs and open
     files. With ``count``, the deck has this number of copies of the scene, and no symbols are
-    written. ``solver`` names the direct solver of reductions.
+    written. ``solver`` names the direct solver for model reductions.
 
     Raises
     ------
-    UsageError : an unknown dialect or solver, or a dialect that cannot represent the scene; see
-        :func:`kc2spice.workflow.decks.protect_other_decks`.
+    UsageError : the dialect or the solver is unknown, the dialect cannot represent the scene, or
+        another deck uses an existing library
+        (:func:`kc2spice.workflow.decks.protect_other_decks`).
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
     known = dialect_names() if count is None else deck_dialects()

@@ -62,13 +62,15 @@ def fit(
 ) -> dict[str, Any]:
     """Vary keys of a part until its admittance matches the measured admittance.
 
-    The fit minimises the squares of the real and imaginary parts of ``log(Y_model / Y)``, divided
-    by the noise of the data. The unknowns are the logarithms of the values, limited to their
-    ranges. A :class:`DenseParametricModel` model of all ranges is used in four descents, from the
-    scene's values and from the best of 64 random samples. Models of narrower ranges around the best
-    values follow until the fit agrees with the full model. Standard errors are computed from the
-    linearised problem. If the misfit exceeds the noise, they are scaled by the misfit. If the model
-    does not describe the data, they include the scatter over bands of frequency
+    The fit minimises the sum of squares of the real and imaginary parts of ``log(Y_model / Y)``,
+    divided by the noise of the data. The unknowns are the logarithms of the values, limited to
+    their ranges. Four descents use a :class:`DenseParametricModel` of the full ranges. They begin
+    at the values of the scene, and at the best of 64 random samples. Models of narrower ranges
+    around the best values follow, until the fit agrees with the full model.
+
+    Standard errors are computed from the linearised problem. If the misfit exceeds the noise, the
+    standard errors are multiplied by the misfit. If the model does not describe the data, the
+    standard errors include the scatter of fits without single frequency bands
     (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a warning names
     the likely cause.
 
@@ -89,8 +91,9 @@ def fit(
         Keys of the body, each with a range in SI units: ``KEY=low:high``, or the pair of a mapping.
         The default range is 30 % about the scene's value, or a factor of ten for losses.
     out : Path, optional
-        Directory for three files: the values (``fit.toml``), their ranges of two standard errors as
-        parameters of the netlist (``box.toml``), and a page. By default no file is written.
+        Directory for three files: the fitted values (``fit.toml``), parameter ranges of the netlist
+        that extend two standard errors around the values (``box.toml``), and a report page. By
+        default no file is written.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the fit.
     shunt : str or float, optional
@@ -100,8 +103,8 @@ def fit(
     Returns
     -------
     dict[str, Any]
-        Fitted values in SI units by dotted key (``values``), also with their standard errors and
-        ranges (``parameters``), the misfit, and the paths of the files if ``out`` is given.
+        Fitted values in SI units by dotted key (``values``), the values with their standard errors
+        and ranges (``parameters``), the misfit, and with ``out`` the paths of the files.
 
     Raises
     ------
@@ -185,7 +188,10 @@ def _fit_curves(
     progress: Progress,
     shunt: str | float | None,
 ) -> dict[str, Any]:
-    """Fit several curves by the equations of the scene; the arguments are those of :func:`fit`."""
+    """Fit keys to several curves with the equations of the scene.
+
+    The arguments are those of :func:`fit`.
+    """
     require_impedance(scene, part)
     curves = read_curves(data, parse_shunt_resistance(shunt))
     for curve in curves:

@@ -123,11 +123,11 @@ def _read_entries(
             file if isinstance(file, MeasuredAdmittance) else read_measured(folder / file, shunt)
         )
         if entry.band is not None:
-            measured = _restrict(measured, entry.band, f"{where}: curve[{k}].band")
+            measured = _select_band(measured, entry.band, f"{where}: curve[{k}].band")
         yield MeasuredCurve(measured, entry.set, entry.predict)
 
 
-def _restrict(
+def _select_band(
     measured: MeasuredAdmittance, band: tuple[float, float], where: str
 ) -> MeasuredAdmittance:
     """Return the part of a measured curve within ``band`` [Hz]."""

@@ -23,19 +23,23 @@ from kc2spice.workflow.misfit import noise_ratio
 # values of the scene.
 RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
-# Ratio of successive widths of a range, and smallest logarithmic width.
+# Ratio of the widths of successive, narrower ranges, and smallest logarithmic width of a range.
 RANGE_RATIO = 0.25
 MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
-RANGE_COUNT = 8  # number of successive ranges
-MESH_CORRECTIONS = 4  # number of mesh corrections in each range
-# largest remaining change of the values by mesh corrections, in standard errors
+RANGE_COUNT = 8  # largest number of successive, narrower ranges
+MESH_CORRECTIONS = 4  # largest number of corrections by the full model in each range
+# largest remaining change of the values by a correction, in standard errors
 CONVERGED_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """Result of a descent: values, parameter range, and the linearised problem at these values."""
+    """Result of a descent: values, parameter ranges, and the linearised problem at the values.
+
+    ``exact`` is the admittance [S] of the full model at the values; empty before the correction by
+    the full model.
+    """
 
     values: dict[str, float]
     solved: OptimizeResult
@@ -78,7 +82,7 @@ class Descent:
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return :meth:`log_ratio` (2 n,) of the reduced model for the logarithms ``x``."""
+        """Return the residuals (:meth:`log_ratio`) of the reduced model at the logarithms ``x``."""
         return self.log_ratio(self.body.response(self.reduced, self.values(x)))
 
     def log_ratio(self, Y: np.ndarray) -> np.ndarray:
@@ -87,7 +91,10 @@ class Descent:
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (2 n, keys) by central differences, one-sided at a bound."""
+        """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
+
+        They are computed by central differences, and by one-sided differences at a bound.
+        """
         low, high = self.bounds
         columns = []
         for k in range(len(x)):
@@ -115,11 +122,11 @@ class Descent:
 
 
 def run_descents(descent: Descent) -> list[DescentResult]:
-    """Return the results of all descents in the full ranges, beginning with the best."""
+    """Return the results of all descents in the full ranges; the best result is first."""
     low, high = descent.bounds
-    draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
-    costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
-    best = map(descent.values, draws[np.argsort(costs)[: DESCENT_COUNT - 1]])
+    samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
+    costs = [float(np.sum(descent.deviation(x) ** 2)) for x in samples]
+    best = map(descent.values, samples[np.argsort(costs)[: DESCENT_COUNT - 1]])
     starts = [read_key_values(descent.body.keys), *best]
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 

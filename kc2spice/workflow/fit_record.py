@@ -80,10 +80,11 @@ def describe_error(size: np.ndarray) -> dict[str, float]:
 def match_resonances(
     data: MeasuredAdmittance, start: np.ndarray, end: np.ndarray
 ) -> list[dict[str, float | None]]:
-    """Return the resonances of measurement, start and end of the fit, in ascending order.
+    """Return the resonances of the measurement, and of the model before and after the fit.
 
-    A resonance is a peak of the conductance. ``start`` and ``end`` (n,) [S] are admittances at the
-    values of the scene and at the fitted values.
+    Rows are in ascending order of frequency. A resonance is a peak of the conductance. ``start``
+    and ``end`` are the admittances [S] of the model at the values of the scene and at the fitted
+    values.
     """
     curves = (data.Y[:, 0, 0], start, end)
     rows = [find_resonances(data.f, Y, data.noise) for Y in curves]

@@ -35,10 +35,11 @@ ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
 
 
 class _MeasuredVector(NamedTuple):
-    """Vector of the simulator in an analysis of a ``kind``.
+    """Simulator vector that a ``.meas`` card reads.
 
-    ``factor`` is the SI value of the vector's unit. ``per_unit`` is the voltage or current of a dc
-    sweep for one SI unit of the swept key. ``last`` is the last value of time, frequency or sweep.
+    ``kind`` is the ngspice name of the analysis. ``factor`` is the SI value of the vector's unit.
+    ``per_unit`` is the voltage or current of a dc sweep for one SI unit of the swept key. ``last``
+    is the end of a transient [s].
     """
 
     kind: str
@@ -49,7 +50,7 @@ class _MeasuredVector(NamedTuple):
 
 
 def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
-    """Return the measures of a scene, probes first.
+    """Return the ``.meas`` cards of a scene, for main metrics of parts and for probes.
 
     ``sweep_scale`` is the voltage or current of a dc sweep for one SI unit of the swept key.
     """
@@ -68,22 +69,26 @@ def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
 def _list_measures(
     build: Build, probes: Mapping[str, Probe | LargestRealPart], sweep_scale: float
 ) -> Iterator[Measure]:
-    """Yield the measures of probes that a card computes."""
+    """Yield a ``.meas`` card for each of the ``probes`` that a card can compute."""
     for name, probe in probes.items():
-        wave = _find_wave(build.scene, build.results.vectors.get(probe.of), sweep_scale)
+        wave = _find_measured_vector(build.scene, build.results.vectors.get(probe.of), sweep_scale)
         if wave is None or not _VALID_NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPart):
-            yield Measure(name, wave.kind, (_signed_extreme("MAX_AT", wave.factor), wave.text))
+            yield Measure(
+                name, wave.kind, (_choose_extreme_function("MAX_AT", wave.factor), wave.text)
+            )
         elif not {"from_", "to", "periods"} & probe.model_fields_set:
             yield from _list_probe_measures(name, probe, wave)
 
 
-def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _MeasuredVector | None:
-    """Return the simulator's vector of a result.
+def _find_measured_vector(
+    scene: Scene, result: Vector | None, sweep_scale: float
+) -> _MeasuredVector | None:
+    """Return the simulator vector of a result; None if no card can read the result.
 
-    None is returned for a sum of vectors, for a sweep that returns to its first value, and for a
-    result that a part corrects after the run.
+    No card can read a sum of vectors, a sweep that returns to its first value, or a result that a
+    part corrects after the run.
     """
     kind = ANALYSIS_KINDS.get(scene.analysis.type)
     if kind is None or result is None or len(result.terms) != 1 or result.corrected:
@@ -95,7 +100,7 @@ def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Meas
 
 
 def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iterator[Measure]:
-    """Yield the measure of a probe, if a card can compute this probe.
+    """Yield the ``.meas`` card of a probe, if a card can compute this probe.
 
     In ``ac``, the card measures the magnitude of a voltage.
     """
@@ -109,7 +114,9 @@ def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iter
             return
         text, factor = f"vm({text[2:]}", abs(factor)
     if take == "argmax":
-        yield Measure(name, kind, (_signed_extreme("MAX_AT", factor), text), 1 / wave.per_unit)
+        yield Measure(
+            name, kind, (_choose_extreme_function("MAX_AT", factor), text), 1 / wave.per_unit
+        )
     elif take == "crossing" and probe.level is not None:
         words = "WHEN", f"{text}={format_number(probe.level / factor)}", "CROSS=1"
         yield Measure(name, kind, words, 1 / wave.per_unit)
@@ -121,9 +128,12 @@ def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iter
         yield Measure(name, kind, ("FIND", text, f"AT={format_number(wave.last)}"), factor)
     elif word := _FUNCTIONS.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
-        yield Measure(name, kind, (_signed_extreme(word, factor), text), size)
+        yield Measure(name, kind, (_choose_extreme_function(word, factor), text), size)
 
 
-def _signed_extreme(word: str, factor: float) -> str:
-    """Return the measure of an extreme; a negative factor exchanges minimum and maximum."""
+def _choose_extreme_function(word: str, factor: float) -> str:
+    """Return the ``.meas`` function of an extreme.
+
+    A negative factor exchanges minimum and maximum.
+    """
     return _OPPOSITE_EXTREMES.get(word, word) if factor < 0 else word

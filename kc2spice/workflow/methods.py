@@ -28,7 +28,7 @@ def compare_methods(
     solver: str | None = None,
     progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
-    """Reduce a model by every method of reduction that is registered.
+    """Reduce a model by every registered reduction method, and compare the reduced models.
 
     Parameters
     ----------
@@ -42,16 +42,16 @@ def compare_methods(
     Returns
     -------
     dict[str, Any]
-        The output of ``kc2spice reduce --method compare --json``: ``methods`` contains a row for
-        each method with ``order``, the number of first-order ``states``, ``error_estimate`` in the
-        norm, ``peak_error`` relative to the peak of each entry, and ``cpu_s``. The row of a method
-        without a model contains a ``reason`` instead of states. ``shared_cpu_s`` is the CPU time
-        for the basis of the full-order model, which all methods use. ``stable`` states whether the
-        full-order model is stable.
+        The output of ``kc2spice reduce --method compare --json``. ``methods`` contains a row for
+        each method: the ``order`` and the number of first-order ``states`` of its reduced model,
+        the ``error_estimate`` in the selected norm, the ``peak_error`` relative to the peak of each
+        response entry, and the CPU time ``cpu_s``. If a method fails, its row contains the
+        ``reason`` instead. ``shared_cpu_s`` is the CPU time for the basis of the full-order model,
+        which all methods use. ``stable`` states whether the full-order model is stable.
 
     Raises
     ------
-    UsageError : the file cannot be read, or is a measurement; invalid options.
+    UsageError : the file cannot be read or is a measurement, or an option is invalid.
 
     Examples
     --------

@@ -6,10 +6,11 @@ and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n -
 - If the residuals are only noise, m is near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - If the model does not describe the data, the residuals at neighbouring frequencies are correlated,
   and they are largest where the keys have the largest effect. This formula then does not apply.
-  If m exceeds :data:`MODEL_ERROR_MISFIT`, the block jackknife is added: the values are fitted
-  again without each of :data:`BAND_COUNT` contiguous frequency bands. For g bands, its covariance
-  is ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` (H. R. Kuensch, Annals of Statistics 17
-  (1989) 1217).
+  If m exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of the block jackknife is added: the
+  values x_b are fitted again without the frequency band b, for each of :data:`BAND_COUNT`
+  contiguous bands. For g bands, the jackknife covariance is
+  ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` (H. R. Kuensch, Annals of Statistics 17 (1989)
+  1217).
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-# Misfit above which the model has errors; the misfit of pure noise scatters by 10 % with 50 points.
+# Misfit above which errors of the model are assumed; with 50 points, the misfit of pure noise
+# scatters by 10 %.
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
-# Ratio of a cause's remaining sum of squares to the smallest one; below this ratio, both causes are
-# equally likely.
+# Two causes count as equally likely if the sums of squared residuals that remain with them differ
+# by less than this ratio.
 EQUAL_LIKELIHOOD_RATIO = 1.1
 EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
 
@@ -34,7 +36,7 @@ def rms_misfit(residuals: np.ndarray, keys: int) -> float:
     Parameters
     ----------
     residuals : (n,) array
-        Differences to the data by the standard deviation of the noise.
+        Differences between model and data, divided by the standard deviation of the noise.
     keys : int
         Number of fitted values.
 
@@ -47,7 +49,9 @@ def rms_misfit(residuals: np.ndarray, keys: int) -> float:
 
 
 def noise_ratio(residuals: np.ndarray, keys: int) -> float:
-    """Return the ratio of the residuals to the noise, at least 1; arguments as :func:`rms_misfit`.
+    """Return the larger of 1 and the rms residual in units of the noise.
+
+    The arguments are those of :func:`rms_misfit`.
 
     Examples
     --------
@@ -58,7 +62,10 @@ def noise_ratio(residuals: np.ndarray, keys: int) -> float:
 
 
 def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
-    """Return the covariance (k, k) of the fitted values, or of their logarithms as in J.
+    """Return the covariance of the fitted values, an array of shape (k, k).
+
+    If J contains derivatives with respect to logarithms, the result is the covariance of the
+    logarithms.
 
     Parameters
     ----------
@@ -67,7 +74,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     residuals : (2 n,) array
         Residuals at the end of the fit, real parts of n frequencies before imaginary parts.
     widest : (k,) array
-        Ranges of the values; no standard error of the jackknife is larger.
+        Widths of the ranges of the values. They limit the standard errors of the jackknife.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     more = rms_misfit(residuals, J.shape[1])
@@ -84,7 +91,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
 
 
 def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
-    """Return the change (k,) of the values if the fit omits the frequencies in ``band``."""
+    """Return the changes of the k values if the fit omits the frequencies in ``band``."""
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
     return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
@@ -93,9 +100,10 @@ def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray)
 def find_likely_cause(
     J: np.ndarray, residuals: np.ndarray, causes: Mapping[str, np.ndarray]
 ) -> str | None:
-    """Return the most frequent of the causes that best explain the residuals.
+    """Return the cause that best explains the residuals of a fit.
 
-    The amount of each cause is fitted together with the values.
+    Of several equally likely causes, return the most frequent one. The amount of each cause is
+    fitted together with the values.
 
     Parameters
     ----------
@@ -104,13 +112,13 @@ def find_likely_cause(
     residuals : (2 n,) array
         Residuals at the end of the fit.
     causes : mapping
-        For each cause, the change (n,) of the logarithm of the admittance for the amount 1. The
-        most frequent cause is first. Amounts are positive.
+        For each cause, the change of the logarithm of the admittance for the amount 1 of the cause,
+        an array of n frequencies. The most frequent cause is first. Amounts are positive.
 
     Returns
     -------
     str or None
-        None if no cause removes more than half of the sum of squares.
+        Name of the cause; None if no cause removes more than half of the sum of squared residuals.
     """
     total = float(residuals @ residuals)
     left = {name: _residual_with_cause(J, residuals, column) for name, column in causes.items()}

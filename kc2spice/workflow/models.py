@@ -1,4 +1,4 @@
-"""Models of parts (finite elements, reductions, field tables), built or from the cache."""
+"""Models of parts (finite elements, reductions, field tables), built or read from the cache."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unchecked_parts: Iter
 
     For the parts ``unchecked_parts``, neither checks nor energy balances are computed.
     """
-    judged = replace(build, unchecked_parts=build.unchecked_parts.union(unchecked_parts))
-    return rebuild_with_scene(judged, replace(build.scene, parts=parts))
+    changed = replace(build, unchecked_parts=build.unchecked_parts.union(unchecked_parts))
+    return rebuild_with_scene(changed, replace(build.scene, parts=parts))
 
 
 def rebuild_with_scene(build: Build, scene: Scene) -> Build:
@@ -96,12 +96,12 @@ def merge_equal_subcircuits(build: Build) -> Build:
 
 
 def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
-    """Return the texts of a part's subcircuits."""
+    """Return the netlist texts of a part's subcircuits."""
     return tuple(map(attrgetter("text"), part.type.subcircuits(part, build, header)))
 
 
 def _name_libraries(build: Build) -> dict[str, str]:
-    """Return the libraries of all parts, with different names for different subcircuits.
+    """Return the library name of each part, with different names for different subcircuits.
 
     Bodies with one part number may have different subcircuits, for example with different ports.
     The first subcircuit has the part number as its name; the others are named after scene and

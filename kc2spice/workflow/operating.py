@@ -30,11 +30,11 @@ class OperatingPoint:
 
 
 def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> OperatingPoint:
-    """Find the operating point of small signals in a separate run.
+    """Find the operating point of a small-signal analysis in a separate run.
 
-    The result is None for other analyses, for edited decks, and for scenes with linear parts only,
-    whose small-signal responses are the same at every operating point. If no operating point is
-    found, a warning is printed.
+    The result is empty for other analyses and for edited decks. It is also empty for scenes with
+    linear parts only, because their small-signal responses do not depend on the operating point. If
+    no operating point is found, the result is empty and a warning is printed.
     """
     scene = build.scene
     if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:

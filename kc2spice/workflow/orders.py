@@ -1,7 +1,7 @@
 """Larger orders for reduced bodies whose error in a transient is too large.
 
-A run compares each reduced body with a model with more states under the recorded loads (see
-:mod:`kc2spice.rom.enriched`). With the same loads, the errors of larger orders are computed without
+Under the recorded loads, a run compares each reduced body with a model with more states (see
+:mod:`kc2spice.rom.enriched`). The errors of larger orders are computed for the same loads, without
 further runs. The scene then runs again with the smallest order whose error is within the limit, or
 with the order of the smallest error. The error of the new run is computed under the loads of the
 new run. The search ends if the error is within the limit, if the number of states is too large, if
@@ -35,10 +35,10 @@ from kc2spice.synthesis.ringing import time_per_point
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, simulate_deck
 
-# Factors on the order, and on the highest frequency of the band, which are used one after the other
-# until the error is within its limit. A wider band is necessary because massless modes begin above
-# the band (docs/explanation/contact.md). At a damping ratio of 0.01 %, these modes cause an error
-# of 1.8 % for any order, but of 0.7 % with twice the band.
+# Pairs of factors on the order and on the highest frequency of the band. The pairs are tried in
+# turn until the error is within its limit. A wider band is necessary because massless modes begin
+# above the band (docs/explanation/contact.md). At a damping ratio of 0.01 %, these modes cause an
+# error of 1.8 % for any order, but of 0.7 % with twice the band.
 ORDER_FACTORS = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
 MAX_VECTORS = 400  # largest order of a model; each basis vector needs a solution of the full model
 # Largest number of states of a model, because each state lengthens every step of the simulator.
@@ -154,7 +154,7 @@ class _OrderSearch(NamedTuple):
 
 
 def _violated_checks(run: Run) -> dict[str, Check]:
-    """Return the violated checks of the error under the recorded loads, keyed by body."""
+    """Return the violated checks of reduction errors under the recorded loads, keyed by body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {
         part.name: checks.get(f"reduction of {part.name}") for part in _bodies_with_order(run)
@@ -168,7 +168,7 @@ def _bodies_with_order(run: Run) -> Iterator[Part]:
 
 
 def _search_larger_orders(run: Run, clock: Clock) -> _OrderSearch:
-    """Find a larger order for each body whose error under the recorded loads is too large."""
+    """Find a larger order for each body whose reduction error under recorded loads is too large."""
     result = _OrderSearch(run.build.scene)
     for name, check in _violated_checks(run).items():
         result = _search_larger_order(run, result, name, check, clock)

@@ -78,7 +78,8 @@ from kc2spice.workflow.thermal_transients import (
 DEFAULT_TOLERANCE = 1e-4
 MAX_MISFIT = 0.1  # error of a fit to a measured part above which no model is written
 WARNING_MISFIT = 0.01  # error of a fit to a measured part above which a warning is printed
-MAX_NOISE_RATIO = 3.0  # largest accepted error, as a multiple of the rms noise
+# Largest accepted error of a fit to a measured part, as a multiple of the rms noise.
+MAX_NOISE_RATIO = 3.0
 
 
 def reduce_file(
@@ -97,12 +98,12 @@ def reduce_file(
     solver: str | None = None,
     progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
-    """Reduce a model and write ``NAME_rom.npz`` and its matrices.
+    """Reduce a model, and write the reduced model to ``NAME_rom.npz`` and matrix files.
 
     A measured response becomes a passive circuit (:func:`kc2spice.rom.branch_fit.fit_one_port` or
     :func:`kc2spice.rom.multiport.fit_multiport`). A thermal transient becomes a network
-    (:func:`kc2spice.rom.transient_fit.fit_transient`). The data determine the order and the band of
-    both.
+    (:func:`kc2spice.rom.transient_fit.fit_transient`). In both cases, the data determine the order
+    and the band.
 
     Parameters
     ----------
@@ -114,15 +115,18 @@ def reduce_file(
     out : Path, optional
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional
-        Lowest and highest frequency in Hz. The default is the band of ``NAME.toml`` or of the
-        scene. Without one, the band ends a little above the fifth natural frequency.
+        Lowest and highest frequency of the reduction in Hz. The default is the band of
+        ``NAME.toml`` or of the scene. If neither states a band, the band ends a little above the
+        fifth natural frequency.
     tolerance : float, optional
-        Largest relative error over the band. The default is 1e-4 without ``order``.
+        Largest relative error of the reduced model in the band. Without ``order``, the default is
+        1e-4.
     order : int, optional
-        Number of unknowns of the result, instead of ``tolerance``.
+        Number of unknowns of the reduced model; it replaces ``tolerance``.
     norm : "pointwise" or "peak", optional
-        Reference of the relative error. The default is ``"peak"`` for models whose ports are all
-        signals, and ``"pointwise"`` for all others.
+        Whether the error is relative to each value of the response (``"pointwise"``), or to the
+        peak of each entry of the response (``"peak"``). The default is ``"peak"`` for models whose
+        ports are all signals, and ``"pointwise"`` for all others.
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
         ``"open"``. By default, this resistance is extrapolated from the data.
@@ -135,25 +139,24 @@ def reduce_file(
     network : "foster" or "cauer", optional
         Form of the network of a model with one thermal port. The default is ``"foster"``.
     method : str, optional
-        Method of reduction. By default, response POD and the suitable variants of balanced
-        truncation are compared.
+        Reduction method. By default, response POD and the suitable variants of balanced truncation
+        are compared.
     solver : "pardiso", optional
-        Direct solver of the reduction instead of CHOLMOD and SuperLU.
+        Direct solver that the reduction uses instead of CHOLMOD and SuperLU.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the reduction.
 
     Returns
     -------
     dict[str, Any]
-        The output of ``kc2spice reduce --json``: order, error estimate, ports and names of the
-        files.
+        The output of ``kc2spice reduce --json``: order, error estimate, ports and file names.
 
     Raises
     ------
     GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT` and
         :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
-    UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
-        is checked before the reduction. Nothing is written.
+    UsageError : the model cannot be read (:func:`kc2spice.bodies.readers.read_model`), or ``out``
+        cannot be written, which is checked before the reduction. Nothing is written.
     SimulationError : the tolerance cannot be met; nothing was written.
     GateMissedError : the circuit of the reduced model misses the tolerance; nothing was written.
 
@@ -171,42 +174,42 @@ def reduce_file(
     form = require_form(network, "--network")
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
-        _refuse_options(options | {"--method": method, "--solver": solver}, *_FROM_DATA)
+        _reject_options(options | {"--method": method, "--solver": solver}, *_NOT_FOR_MEASUREMENTS)
         if is_transient(Path(path)):
-            _refuse_options({"--dc": dc, "--shunt": shunt}, *_OF_IMPEDANCE)
+            _reject_options({"--dc": dc, "--shunt": shunt}, *_ONLY_FOR_IMPEDANCES)
             return _reduce_transient(Path(path), out, power, form or "foster", progress)
-        _refuse_options({"--power": power, "--network": network}, *_OF_TRANSIENT)
+        _reject_options({"--power": power, "--network": network}, *_ONLY_FOR_TRANSIENTS)
         return _reduce_measured(Path(path), out, dc, shunt, progress)
-    _refuse_options({"--dc": dc, "--shunt": shunt, "--power": power}, *_OF_MEASUREMENT)
+    _reject_options({"--dc": dc, "--shunt": shunt, "--power": power}, *_ONLY_FOR_MEASUREMENTS)
     with use_solver(require_solver(solver, "--solver")):
         return _reduce_matrices(path, out, band, tolerance, order, norm, method, form, progress)
 
 
-# For options that do not apply: the problem, and the expected input.
-_FROM_DATA = (
+# Headline and expected input of the errors about options that do not apply.
+_NOT_FOR_MEASUREMENTS = (
     "this option does not apply to a measured response",
     "a measured response without this option",
 )
-_OF_IMPEDANCE = (
+_ONLY_FOR_IMPEDANCES = (
     "this option applies only to a measured impedance",
     "no such option with a thermal transient",
 )
-_OF_TRANSIENT = (
+_ONLY_FOR_TRANSIENTS = (
     "this option applies only to a thermal transient",
     "a table with the columns  time_s,temperature_k",
 )
-_OF_MEASUREMENT = (
+_ONLY_FOR_MEASUREMENTS = (
     "this option applies only to a measured response",
     "a measured response, or matrices without this option",
 )
-_OF_CONSTANT_MODEL = (
+_NOT_FOR_PARAMETRIC_MODELS = (
     "this option does not apply to a model with parameters",
     "a tolerance without this option",
 )
 
 
-def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> None:
-    """Reject options that do not apply.
+def _reject_options(options: dict[str, Any], problem: str, expected: str) -> None:
+    """Reject options that do not apply to the input of a reduction.
 
     Raises
     ------
@@ -238,11 +241,11 @@ def _reduce_matrices(
         return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
         tolerance = DEFAULT_TOLERANCE
-    _require_names(model, make_identifier(f"{model.name}_rom", "rom"))
+    _require_valid_port_names(model, make_identifier(f"{model.name}_rom", "rom"))
     if form is not None:
         require_one_heat_port(model)
 
-    def reduced() -> LinearModel:
+    def make_reduced_model() -> LinearModel:
         small = reduce_model(
             model,
             band=band,
@@ -254,13 +257,13 @@ def _reduce_matrices(
         return shape_heat_model(small, form)
 
     with follow_stage(progress, "reduce", f"{model.order} equations"):
-        _require_stable_full(model, band)
-        result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
+        _reject_unstable_model(model, band)
+        result = _write_reduced_model(model.name, model.order, make_reduced_model, out, tolerance)
     return result | {"full_form": describe_order(model)}
 
 
 def _read_full_model(path: Path | str, progress: Progress) -> LinearModel | AffineModel:
-    """Build the model of a scene's body, or read matrices."""
+    """Build the full model of a scene's body, or read the full model from matrix files."""
     if (body := _load_scene_body(str(path), progress)) is not None:
         return body
     progress("reduce", None, "reading matrices")
@@ -274,11 +277,11 @@ def _reduce_affine(
     settings: dict[str, Any],
     progress: Progress,
 ) -> dict[str, Any]:
-    """Reduce matrices over the ranges of their parameters, and write the parametric model."""
-    _refuse_options(options, *_OF_CONSTANT_MODEL)
+    """Reduce a model with parameters over their ranges, and write the parametric model."""
+    _reject_options(options, *_NOT_FOR_PARAMETRIC_MODELS)
     name, names = f"{model.name}_rom", list(model.defaults)
     require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
-    _require_names(model.model, make_identifier(name, "rom"))
+    _require_valid_port_names(model.model, make_identifier(name, "rom"))
     progress("reduce", None, f"{model.model.order} equations, parameters {', '.join(names)}")
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
@@ -300,16 +303,16 @@ def _reduce_affine(
 
 
 def describe_order(model: LinearModel) -> str:
-    """Return whether a model has first-order or second-order equations in time, as text."""
+    """Return the order in time of a model's equations: ``first order`` or ``second order``."""
     return "first order" if model.first_order else "second order"
 
 
 def load_full_model(path: Path | str) -> LinearModel:
-    """Return the model of matrices in files, or of a scene's body ``SCENE:PART``."""
+    """Return the full model in matrix files, or of a scene's body ``SCENE:PART``."""
     return _load_scene_body(str(path)) or read_model(path)
 
 
-def _require_names(model: LinearModel, name: str) -> None:
+def _require_valid_port_names(model: LinearModel, name: str) -> None:
     """Check the port names of the model before the reduction, which can take hours.
 
     For this check, a model with one state and the same ports is written as a subcircuit.
@@ -328,7 +331,7 @@ def _require_names(model: LinearModel, name: str) -> None:
     )
 
 
-def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
+def _reject_unstable_model(model: LinearModel, band: tuple[float, float] | None) -> None:
     """Raise an error if the full model is known to be unstable.
 
     Raises
@@ -476,7 +479,7 @@ class _ModelMisfit:
 
 
 def _compute_misfit(model: LinearModel, data: MeasuredAdmittance) -> _ModelMisfit:
-    """Return the error of a model with the noise of the data."""
+    """Return the error of a fitted model, its limit, and the noise of the data."""
     certificate = model.certificate
     assert certificate is not None
     noise = data.relative_noise(certificate.norm)
@@ -499,7 +502,7 @@ def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
 
 
 def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
-    """Reject a model whose error is too large, and is far above the noise."""
+    """Reject a fitted model whose error is too large, and is far above the noise of the data."""
     certificate, misfit = model.certificate, _compute_misfit(model, data)
     if certificate is None or not misfit.exceeds:
         return
@@ -545,7 +548,7 @@ def _write_reduced_model(
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
         reduced = make()
-        # a model without a circuit has no error estimate of a circuit
+        # the record contains the error estimate of this circuit
         part = subcircuit(reduced, make_identifier(name, "rom"))
         if tolerance is not None:
             require_circuit(part, reduced, tolerance)
@@ -557,7 +560,7 @@ def _write_reduced_model(
 def _describe_reduced(
     model_name: str, unknowns: int, reduced: LinearModel, part: Subcircuit
 ) -> dict[str, Any]:
-    """Describe a reduced model with the error estimate of its circuit."""
+    """Return the record of a reduced model, with the error estimate of its circuit."""
     assert reduced.certificate is not None
     assert part.reduction is not None
     return {
@@ -610,7 +613,7 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
 
 
 def _list_bodies(scene: Scene) -> list[str]:
-    """Return the names of the parts of a scene with linear models."""
+    """Return the names of those parts of a scene that have linear models."""
     return [part.name for part in scene.parts.values() if isinstance(part.type, LinearBody)]
 
 
@@ -639,14 +642,14 @@ def export_rom(
 
     Raises
     ------
-    UsageError : the file is not a reduced model, the model has no such subcircuit, or the dialect
-        cannot represent the subcircuit; also see
-        :func:`kc2spice.workflow.decks.protect_other_decks`. Nothing is written.
+    UsageError : the file is not a reduced model, the model cannot be written as such a subcircuit,
+        the dialect cannot represent the subcircuit, or another deck uses an existing library
+        (:func:`kc2spice.workflow.decks.protect_other_decks`). Nothing is written.
     """
     if dialect not in dialect_names():
         raise unknown_dialect_error(dialect, dialect_names())
     path = Path(path)
-    reduced, part = _read_part(path, dense)
+    reduced, part = _read_model_and_subcircuit(path, dense)
     deck = make_example_deck(reduced, part)
     directory = Path(part.name) if out is None else Path(out)
     files = write_dialect_files(deck, dialect) | write_symbol_files(deck, dialect)
@@ -657,8 +660,11 @@ def export_rom(
     return [directory / file for file in sorted(files)]
 
 
-def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
-    """Read a reduced model and return its subcircuit; parameters have their defaults."""
+def _read_model_and_subcircuit(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
+    """Read a reduced model from a file, and return the model and its subcircuit.
+
+    The parameters of a model have their default values.
+    """
     require_rom_file(path)
     name = make_identifier(path.stem, "rom")
     header = Header(path.stem, hashlib.sha256(path.read_bytes()).hexdigest()[:16])

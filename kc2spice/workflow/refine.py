@@ -1,10 +1,10 @@
-"""RefinedRuns of a scene with refined numerical settings, and error estimates of its metrics.
+"""Runs of a scene with refined numerical settings, and error estimates of its metrics.
 
 Numerical settings (:mod:`kc2spice.scene.numerical_settings`) change in refinement steps. A refined
-run changes all settings by one step. The error estimate of a metric is its change by this run,
-times :data:`REMAINDER_FACTOR`. With an ``error_budget``, the setting that changes the metrics most
-is refined first. The refinement ends when the estimate of every metric is within the budget, or
-when no setting can be refined further.
+run refines all settings by one step. The error estimate of a metric is :data:`REMAINDER_FACTOR`
+times the change of the metric in the refined run. With an ``error_budget``, the setting that
+changes the metrics most is refined first. The refinement ends when the error estimate of every
+metric is within the budget, or when no setting can be refined further.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from kc2spice.workflow.simulate import (
 
 # Largest number of unknowns of a refined mesh; larger meshes take more than minutes of CPU time.
 MAX_MESH_UNKNOWNS = 200_000
-# fraction of free memory for one factor; matrices and modes need the remaining memory
+# Fraction of the free memory for one factorised matrix; other matrices and modes need the rest.
 MEMORY_SHARE = 0.5
-# Bytes of the factor of a plane mesh, divided by n log2(n) for n unknowns; 145 000 unknowns took
-# 0.2 GB.
+# Bytes of the factorised matrix of a plane mesh, divided by n log2(n) for n unknowns; 145 000
+# unknowns took 0.2 GB.
 PLANE_FACTOR_BYTES = 100.0
 MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
@@ -76,7 +76,7 @@ RefinementSteps = Mapping[str, float]  # refinement steps, keyed by setting
 
 
 class RefinedRuns:
-    """Runs of a scene with refined settings; each run is computed once.
+    """Cache of runs of a scene with refined settings; each run is computed only once.
 
     ``refinable`` are the settings that can be refined; settings in ``finest`` can only become
     coarser. ``most`` is the largest number of further runs for an error estimate, in addition to
@@ -157,7 +157,7 @@ class RefinedRuns:
                 raise self.refused
 
     def _body_of_setting(self, setting: NumericalSetting) -> Part | None:
-        """Return the body whose mesh a setting refines; None for a setting of no mesh."""
+        """Return the body whose mesh a setting refines; None if the setting refines no mesh."""
         for part in self.start.build.scene.parts.values() if setting.model else ():
             refined = setting.name.startswith(f"{part.key_prefix}.")
             if refined and isinstance(part.type, MeshedBody):
@@ -170,7 +170,10 @@ class RefinedRuns:
         return len(self.run_cache) <= self.most
 
     def largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
-        """Return the largest error estimate of meshes of ``run`` that settings ``names`` refine."""
+        """Return the largest error estimate of the meshes that the settings ``names`` refine.
+
+        The error estimates are those of the models in ``run``.
+        """
         largest = 0.0
         for setting in self.all_settings:
             part = self._body_of_setting(setting) if setting.name in names else None
@@ -227,14 +230,14 @@ def repeat_timing(run: Run) -> float:
 
 
 def metric_changes(run: Run, finer: Run) -> dict[str, float]:
-    """Return the relative change of every metric of ``finer``.
+    """Return the relative change of every metric between ``run`` and ``finer``.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
     the larger of two values: the number itself, and a fraction of the largest metric with the same
     unit. The fraction is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for small-signal
-    responses. Without a unit, the change is relative to the number itself. A curve over other
-    points is interpolated to the points of ``run``. The change is infinite if ``run`` has no
-    comparable metric.
+    responses. Without a unit, the change is relative to the number itself. A curve with other
+    time or frequency points is interpolated to the points of ``run``. The change is infinite if
+    ``run`` has no comparable metric.
     """
     share = SMALL_SIGNAL_SHARE if run.is_small_signal else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
@@ -501,7 +504,7 @@ def _refine_dominant_setting(
 def _add_steps(
     steps: RefinementSteps, moved: Sequence[NumericalSetting], by: int = 1
 ) -> RefinementSteps:
-    """Return ``steps`` plus further steps of some settings."""
+    """Return ``steps`` with ``by`` further refinement steps of the settings ``moved``."""
     return {**steps, **{setting.name: steps.get(setting.name, 0) + by for setting in moved}}
 
 
@@ -514,5 +517,5 @@ def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
 
 
 def _estimate_differences(run: Run, finer: Run) -> dict[str, float]:
-    """Estimate the relative error of each metric of ``run``."""
+    """Estimate the relative error of each metric of ``run`` from its change in a ``finer`` run."""
     return {name: REMAINDER_FACTOR * change for name, change in metric_changes(run, finer).items()}

@@ -1,9 +1,9 @@
-"""Additional frequencies of small-signal analyses, at resonances, notches and probes.
+"""Additional frequencies of small-signal analyses, at resonances, at notches and for probes.
 
-The input is an analysis command, and the laws of its scene. The output is further analyses around
-each resonance that the frequencies of the scene do not resolve. The resonances are the natural
-frequencies of the whole linear circuit, driver and load included;
-:mod:`kc2spice.reference.small_signal` states its equations.
+The input is an analysis command, and the equations of its scene. The output is further analyses
+around each resonance that the frequencies of the scene do not resolve. The resonances are the
+natural frequencies of the whole linear circuit, driver and load included;
+:mod:`kc2spice.reference.small_signal` states the equations of the circuit.
 """
 
 from __future__ import annotations
@@ -42,10 +42,8 @@ MAX_RESONANCES = 100
 def list_refined_analyses(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
     """Return analyses with closely spaced frequencies at resonances, and at frequencies of probes.
 
-    ``command`` is the analysis of the scene.
-
-    The frequencies that probes read become points of an analysis, because interpolation between two
-    points would cause an error.
+    ``command`` is the analysis of the scene. The frequencies that probes read become points of an
+    analysis, because interpolation between two points would cause an error.
 
     A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. A resonance is
     resolved if the frequencies of the scene lie closer than a quarter of its half-width. For
@@ -119,16 +117,16 @@ def _narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     """Return the poles [1/s] of the scene's circuits, and the zeros at minima that probes read.
 
-    Of a circuit without equations, only the poles of the reduced models are returned. A warning is
+    For a circuit without equations, only the poles of the reduced models are returned. A warning is
     printed if a circuit has no equations, is too large, or has no operating point.
     """
     scene, causes = (
         laws.build.scene,
         [f"{name} has no equations" for name in laws.parts_without_law],
     )
-    of = {probe.of for probe in scene.probes.values() if probe.take == "min"}
+    minima = {probe.of for probe in scene.probes.values() if probe.take == "min"}
     if scene.analysis.type != "ac":
-        of = set()
+        minima = set()
     poles, zeros = list[np.ndarray](), dict[str, np.ndarray]()
     for network in laws.networks:
         try:
@@ -138,7 +136,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
             causes.append(str(error).splitlines()[0])
             continue
         amplitudes = np.array([source.ac for source in linear.system.sources])
-        for name in of & network.results.keys():
+        for name in minima & network.results.keys():
             with suppress(SimulationError, UsageError, np.linalg.LinAlgError):
                 zeros[name] = linear.find_zeros(network.results[name], amplitudes)
     models = [model for model in laws.build.models.values() if isinstance(model, LinearModel)]
@@ -149,7 +147,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
             stacklevel=2,
         )
         poles += [model.poles() for model in models]
-    if unknown := sorted(of if laws.parts_without_law else of - zeros.keys()):
+    if unknown := sorted(minima if laws.parts_without_law else minima - zeros.keys()):
         warnings.warn(
             f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
             f"because a part of the circuit has no equations; raise analysis.points",

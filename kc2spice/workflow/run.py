@@ -1,4 +1,4 @@
-"""``run``: build, reduce, write, simulate, measure, plot."""
+"""``run``: build the models of a scene, simulate its deck, and write the files of the result."""
 
 from __future__ import annotations
 
@@ -174,7 +174,8 @@ def complete_run(
     new value. The scene also runs again with more states of a reduced body whose error under the
     recorded loads is too large.
 
-    Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
+    Raises the errors of :func:`run_scene`. A warning is printed for each violated check that does
+    not fail the run.
     """
     simulator, automatic = find_ngspice(), dict[str, Any]()
     with keep_failed_run(work, out, scene.name):
@@ -216,7 +217,7 @@ def complete_run(
 def write_run_files(
     done: CompletedRun, work: Path, clock: Clock, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
-    """Write all files of a run into ``work``; return ``result.json``."""
+    """Write all files of a run into ``work``; return the content of ``result.json``."""
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
     with clock.time_stage("report", "metrics and page"):
         record = dict(done.record)

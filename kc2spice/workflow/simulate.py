@@ -147,7 +147,7 @@ def simulate_deck(
     """
 
     def check_waves(waves: Waveforms) -> Verdict:
-        """Return metrics, checks and balances of the waves."""
+        """Return the checks, energy balances and error limits of the waves."""
         result = list_checks(waves, build)
         result = replace(result, checks=(*result.checks, *point.checks))
         if deck.text is None:
@@ -158,7 +158,7 @@ def simulate_deck(
     laws = get_scene_laws(build)
     engine = choose_engine(laws, deck, directory, progress, timeout)
     point = find_operating_point(build, deck, laws)
-    write_files(deck.files, directory)  # this file is written even if the simulation fails
+    write_files(deck.files, directory)  # the netlists are written even if the simulation fails
     shared = bool(build.sampled_sources)
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
@@ -219,7 +219,7 @@ def choose_engine(
     progress: ProgressCallback = None,
     timeout: float | None = None,
 ) -> Engine:
-    """Return the engine for a ``deck`` of the scene with these laws.
+    """Return the engine that simulates a ``deck`` of the scene with the equations ``laws``.
 
     A small-signal analysis has further analyses near resonances. Each analysis is a separate run if
     the operating point can depend on the previous analysis. If Python functions set sources during
@@ -254,7 +254,8 @@ def simulator_cpu(*, shared: bool) -> float:
 def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``.
 
-    A run beyond the range of a model leaves no files, because the error states the key to change.
+    A run that leaves the valid range of a model keeps no files, because the error states the key to
+    change.
     """
     folder = None if out is None else _failure_folder(Path(out).absolute())
     try:
@@ -262,7 +263,7 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     except SimulationError as error:
         violated = error.violated if isinstance(error, RetriesFailedError) else ()
         if folder is not None and not any(check.accepted for check in violated):
-            # an error of a full disk must not replace the error of the run
+            # an error due to a full disk must not replace the error of the run
             with contextlib.suppress(OSError):
                 shutil.rmtree(folder, ignore_errors=True)
                 shutil.copytree(work, folder)
@@ -286,7 +287,7 @@ def _failure_folder(out: Path) -> Path:
 
 
 def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
-    """Write ``failure.json``."""
+    """Write ``failure.json``, the record of a failed run, and its partial waveforms."""
     record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
     if isinstance(error, RetriesFailedError):

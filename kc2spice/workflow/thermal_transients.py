@@ -1,7 +1,8 @@
-"""Heat networks for ``reduce``: of measured transients, and of models with one thermal port.
+"""Heat networks for ``reduce``, from measured transients or from models with one thermal port.
 
 The input is a transient with the power of its step, or a reduced heat model. The output is the
-model of a network in Foster's or Cauer's form, whose certificate contains the deviation.
+model of a network in Foster's or Cauer's form. The certificate of a model of a transient contains
+its deviation from the data.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
-# Fraction of the thermal resistance at times after the measurement, above which a warning is
-# printed.
+# Fraction of the thermal resistance whose time constants are too long for the measured times; above
+# this fraction, a warning is printed.
 WARNED_UNSETTLED = 0.01
 # Ratio of rms deviation to noise above which a warning is printed. Drift and rounding of
 # instruments cause ratios of up to 1.1.
@@ -86,7 +87,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
 def network_of_transient(
     data: ThermalTransient, power: float | None, form: NetworkForm
 ) -> FittedTransient:
-    """Fit a network to a transient.
+    """Fit a heat network to a measured thermal transient.
 
     Deviations from a temperature are relative to its largest rise. Deviations from a positive
     thermal impedance are relative to each value.
@@ -99,7 +100,7 @@ def network_of_transient(
     samples, norm, notes = _step_samples(data, power)
     fit = fit_transient(samples)
     size = 1.0 if norm == "pointwise" else _largest_rise(samples, fit)
-    certificate = _certificate(samples, fit, size, norm)
+    certificate = _make_certificate(samples, fit, size, norm)
     rms, noise = fit.rms / size, fit.noise / size
     if rms > LARGEST_MISFIT:
         raise GateMissedError(
@@ -137,11 +138,11 @@ def network_of_transient(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a reduced heat model as a network of the given form; without a form, unchanged.
+    """Return a reduced heat model as a network of the ``form``; without a form, unchanged.
 
     Raises
     ------
-    UsageError : the model has other ports than one thermal port.
+    UsageError : the model does not have exactly one port, or the port is not thermal.
     """
     if form is None:
         return model
@@ -162,11 +163,11 @@ def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearMode
 
 
 def require_one_heat_port(model: LinearModel) -> None:
-    """Check that a model has exactly one port, which is thermal.
+    """Check that a model has exactly one port, and that this port is thermal.
 
     Raises
     ------
-    UsageError : the model has other ports.
+    UsageError : the model has several ports, or its port is not thermal.
     """
     if len(model.ports) == 1 and model.ports[0].domain is THERMAL:
         return
@@ -223,8 +224,13 @@ def _largest_rise(samples: StepSamples, fit: TransientFit) -> float:
     return float(fit.network.step_response(samples.time[-1:])[0])
 
 
-def _certificate(samples: StepSamples, fit: TransientFit, size: float, norm: Norm) -> Certificate:
-    """Return a certificate with the deviation of a network from samples, over the band of times."""
+def _make_certificate(
+    samples: StepSamples, fit: TransientFit, size: float, norm: Norm
+) -> Certificate:
+    """Return a certificate with the deviation of a network from its samples.
+
+    The band of the certificate corresponds to the times of the samples.
+    """
     after = samples.time[samples.time > 0]
     deviation = np.abs(fit.residual) / size
     largest, network = int(np.argmax(deviation)), fit.network

@@ -1,4 +1,4 @@
-"""Largest time step of a transient, and the effect of its time steps on the result.
+"""Largest time step of a transient, and the effect of the time steps on the computed waves.
 
 The error control of ngspice keeps the error of each step below a tolerance. At a resonance, the
 errors of thousands of steps add up. With steps ``h``, the trapezoidal rule reduces every natural
@@ -8,7 +8,7 @@ exponential with another rate. The numerical solution of a linear circuit is the
 closed form, and so is the largest step whose error is within :data:`RMS_ERROR_LIMIT`.
 
 Natural modes with a Q factor below :data:`RESONANT_Q` do not limit the step, because the error
-control resolves them. Waves that are rounding errors of a sum also do not limit the step.
+control resolves them. Waves that consist only of rounding errors also do not limit the step.
 """
 
 from __future__ import annotations
@@ -36,15 +36,17 @@ from kc2spice.scene.part_records import StepLimit, Vector
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
-# Largest error of the rms of a wave, and of the wave itself, relative to the largest value.
+# Largest error of the rms value of a wave, and of the wave itself. Both errors are relative to the
+# largest value.
 RMS_ERROR_LIMIT = 5e-4
 SHAPE_ERROR_LIMIT = 1e-3
-# Largest number of time points for the limit of the wave itself, and for the limit of the rms.
+# Numbers of time points above which the limit of the wave itself, and the limit of its rms value,
+# no longer reduce the step.
 MAX_SHAPE_POINTS = 2e5
 MAX_RMS_POINTS = 4e6
 EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
-# s, largest step in nonlinear circuits, in which error control resolves fast changes
+# Largest step [s] in nonlinear circuits; error control resolves faster changes.
 NONLINEAR_STEP = 10e-6
 # Q factor up to which a mode counts as aperiodic: 0.5, with a margin for rounding errors
 APERIODIC_Q = 0.6
@@ -65,7 +67,7 @@ MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns takes mi
 
 
 def choose_largest_step(build: Build) -> StepLimit:
-    """Return the largest time step of a transient.
+    """Return the largest time step of a transient, with the reason for it.
 
     The result is ``solver.max_step`` if the scene sets this key. Otherwise, the result is the
     smallest of the steps that parts, and resonances of linear circuits, require.
@@ -92,7 +94,7 @@ def choose_largest_step(build: Build) -> StepLimit:
     return min(limits, key=attrgetter("step"))
 
 
-def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
+def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> bool:
     """Return whether a network conducts heat, and has no oscillating mode at rest.
 
     Heat has no inertia, and error control resolves its time constants. The losses of electrical
@@ -107,8 +109,8 @@ def _only_relaxes(network: Network, motion: ExponentialSolution) -> bool:
 class LinearisedScene:
     """Networks of a transient, linearised at rest, with the exact solution of each network.
 
-    The choice of the largest step, and the check of the steps after a run, use the same object,
-    which computes eigenvalues at their first use.
+    The choice of the largest step, and the check of the steps after a run, use the same object. It
+    computes the eigenvalues of the networks when they are first needed.
     """
 
     build: Build
@@ -121,7 +123,9 @@ class LinearisedScene:
     def resolved_by_error_control(self) -> bool:
         """Whether error control resolves all networks: each is linear, or relaxes thermally."""
         for network, motion in zip(self.networks, self.motions, strict=True):
-            if motion is None or not (motion.linear.exact or _only_relaxes(network, motion)):
+            if motion is None or not (
+                motion.linear.exact or _is_thermal_and_aperiodic(network, motion)
+            ):
                 return False
         return not self.missing
 
@@ -189,10 +193,11 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 
 
 class IntegrationRule(NamedTuple):
-    """Integration rule with steps ``h``, by its effect on exponentials.
+    """Integration rule, described by its effect on exponentials with the time step ``h``.
 
-    ``rates`` returns the rates of the numerical solutions of ``e^(r t)``. ``axis`` returns s in ``1
-    / (s - r)``, the numerical response to ``e^(j w t)``.
+    ``rates`` returns the rates of the numerical solutions of ``e^(r t)``. ``axis`` returns the
+    value s with which the numerical response of a mode with the rate r to ``e^(j w t)`` is ``1 / (s
+    - r)``.
     """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
@@ -267,10 +272,11 @@ def _describe_resonance(rate: complex, quality: float) -> str:
 
 
 def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest error of the rms in a window, and of a value, over all waves (nt, waves).
+    """Return the largest error of the rms values, and the largest error of a value, of all waves.
 
-    The errors are relative to the largest rms of the wave in a window, and to the largest value of
-    the wave.
+    ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are those in
+    :data:`WINDOW_COUNT` time windows. Their errors are relative to the largest rms value of the
+    wave in a window. Errors of values are relative to the largest value of the wave.
     """
     edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
@@ -283,8 +289,7 @@ def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[
     return float(rms.max(initial=0.0)), float(value.max(initial=0.0))
 
 
-# --- checks of a run
-# -------------------------------------------------------------------------------
+# --- checks of a run ------------------------------------------------------------------------------
 
 
 def list_step_checks(
@@ -293,8 +298,8 @@ def list_step_checks(
     """Check the effect of the time steps on the waves of a run.
 
     Waves of a linear circuit are compared with the exact motion of the circuit. This comparison is
-    left out if a contact determines the steps, because such steps do not resolve all ringing. In
-    any other circuit the outputs of each linear body are compared with its exact response to the
+    left out if a contact determines the steps, because such steps do not resolve all vibrations. In
+    any other circuit, the outputs of each linear body are compared with its exact response to the
     recorded loads. If a contact determines the steps, these checks only warn.
     """
     scene = build.scene
@@ -321,8 +326,9 @@ def list_step_checks(
 def _compare_exact_motion(
     build: Build, waves: Waveforms
 ) -> tuple[tuple[float, float, str], set[str]]:
-    """Return the largest deviation of all waves of linear circuits, and the parts of these
-    circuits.
+    """Return the largest deviation of waves of linear circuits, and the parts of these circuits.
+
+    The deviation is the difference to the exact motion of the circuit.
     """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = find_linearised_scene(build)
@@ -336,7 +342,10 @@ def _compare_exact_motion(
 
 
 def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
-    """Return the check of the deviation of a wave; ``largest`` are deviations of rms and value."""
+    """Return the check of the deviation of a wave.
+
+    ``largest`` contains the deviations of the rms and of a value, and the name of the wave.
+    """
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
     return Check(
@@ -356,11 +365,14 @@ def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[
 def _largest_deviation(
     network: Network, motion: ExponentialSolution, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
-    """Return the largest deviation of all waves, without waves that are rounding errors."""
+    """Return the largest deviation of the waves of a network from its exact motion.
+
+    Waves that consist only of rounding errors are left out.
+    """
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))
-    # instants at which currents jump, with points on both sides; an edge can begin at the end of
-    # the run
+    # Times at which currents jump; points near these times are left out. An edge can begin at the
+    # end of the run.
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]

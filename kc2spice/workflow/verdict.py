@@ -18,9 +18,10 @@ BALANCE_SHARE = 0.03
 
 
 def list_checks(waves: Waveforms, build: Build) -> Verdict:
-    """Return the checks of the parts of a scene, except checks that the scene turns off.
+    """Return the verdict on a run: its checks, energy balances and error limits.
 
-    The limits of all energy balances are proportional to ``error_budget``.
+    Checks that the scene turns off are left out. A large ``error_budget`` raises the limits of all
+    energy balances in proportion.
     """
     scene = build.scene
     checks: list[Check] = []

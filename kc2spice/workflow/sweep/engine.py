@@ -1,8 +1,8 @@
 """Execution of a sweep: checks, shared models, points, results and table.
 
-Points run in processes of this machine or on a Dask scheduler's workers: both are a
+Points run in processes of this machine or on the workers of a Dask scheduler. Both are a
 :class:`concurrent.futures.Executor`, and any other executor is accepted. The rows of the points are
-stored in a database in any order, and then written as one sorted table.
+stored in a database as the points end, and then written as one sorted table.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=T
 class Sweep:
     """Checked sweep: points, settings for the workers, and columns of the table.
 
-    ``scene`` is the scene of the first point, ``units`` are the units of the swept keys;
-    ``metrics`` are the requested columns, empty for all.
+    ``scene`` is the scene of the first point, and ``units`` are the units of the swept keys.
+    ``metrics`` are the requested metrics; if it is empty, the table contains all metrics.
     """
 
     scene: Scene
@@ -127,7 +127,9 @@ def make_sweep(
     metrics: Sequence[str] = (),
     timeout: float | None = None,
 ) -> Sweep:
-    """Make a sweep of ``KEY=RANGE`` texts, checked as far as possible without a model.
+    """Return the sweep that strings ``KEY=RANGE`` describe.
+
+    The sweep is checked as far as possible without building a model.
 
     Raises
     ------
@@ -149,7 +151,7 @@ def make_sweep(
             constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
         else:
             fixed.append(text)
-    # A swept key can create a part that the scene does not contain otherwise.
+    # A swept key can create a part that the scene does not contain without this key.
     keys = list_scene_keys(scene.load((*fixed, *firsts)))
     plan = make_plan(
         {name: parse_range(name, value, keys) for name, value in ranges.items()},
@@ -204,8 +206,8 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
 
     Raises
     ------
-    UsageError : as :func:`make_sweep`; ``name`` is neither a scene nor a study; or the study
-        contains a mistake.
+    UsageError : ``name`` is neither a scene nor a study, the study contains a mistake, or
+        :func:`make_sweep` rejects a range or key.
     """
     study = _find_study(name)
     if study is None:
@@ -285,7 +287,9 @@ def run_points(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Yield outcomes of ``points`` as they end; each worker runs one point at a time.
+    """Yield each of the ``points`` with its outcome, as soon as the point ends.
+
+    Each worker runs one point at a time.
 
     If a worker process ends, the outcome of all running points is ``LOST_POINT``, and the workers
     are started again.
@@ -311,7 +315,7 @@ def _complete_points(
 
 
 def _submit_point(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
-    """Submit a point to the workers."""
+    """Submit a point to the workers, and return the future of its outcome."""
     try:
         future: Future[PointResult] = submit(run_point, job, values)
     except Exception as error:  # an executor without workers raises an error
@@ -321,7 +325,7 @@ def _submit_point(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[Po
 
 
 def _collect_result(future: Future[PointResult]) -> PointResult:
-    """Return the outcome of a point."""
+    """Return the outcome of a point; ``LOST_POINT`` if the worker of the point was lost."""
     try:
         return future.result()
     except Exception as error:

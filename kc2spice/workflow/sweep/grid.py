@@ -2,7 +2,7 @@
 
 A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
 ``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or have a unit. Any other
-text is a single value.
+string is a single value.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _DOTTED_RANGE = re.compile(r"(\d[^.…]*(?:\.\d[^.…]*)?)\s*(?:\.\.+|…| to )\
 
 
 def _make_zero_crossing_error(text: str) -> UsageError:
-    """Return the error of a logarithmic range whose ends have different signs."""
+    """Return the error about a logarithmic range that begins at, ends at or crosses 0."""
     return UsageError(
         "a log range cannot start at, end at or cross 0",
         where="--set",
@@ -68,14 +68,14 @@ def _make_zero_crossing_error(text: str) -> UsageError:
 
 
 def split_range(text: str) -> tuple[str, list[str]]:
-    """Return the kind of a range, and its fields as texts.
+    """Return the kind of a range, and its fields as strings.
 
     The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
     field is a possible value of the key.
 
     Raises
     ------
-    UsageError : the range needs three fields, and has more or fewer.
+    UsageError : the range needs exactly three fields, but has another number of fields.
     """
     if text[:1] in ('"', "'"):
         return "value", [text]
@@ -121,7 +121,7 @@ def split_range(text: str) -> tuple[str, list[str]]:
 
 
 def _split_words(text: str, separator: str) -> list[str]:
-    """Split a text at separators outside of brackets, as in ``1 A/(m s),2 A/(m s)``."""
+    """Split a string at separators outside of brackets, as in ``1 A/(m s),2 A/(m s)``."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "([{") - (character in ")]}")
@@ -133,7 +133,10 @@ def _split_words(text: str, separator: str) -> list[str]:
 
 
 def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
-    """Return unit, limits and type of a key, list entry, table or subcircuit parameter."""
+    """Return the description (unit and type) of a swept key or subcircuit parameter.
+
+    The name may also be that of a list entry or of a table.
+    """
     plain = Key(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
@@ -143,21 +146,21 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
 
     Raises
     ------
-    UsageError : an impossible range, or values that the key cannot have.
+    UsageError : the range is not valid, or contains values that the key cannot have.
     """
     key, (kind, words) = find_swept_key(name, keys), split_range(text)
     where = f"--set '{name}={text}'"
-    drawn = kind in ("normal", "uniform")
+    is_random = kind in ("normal", "uniform")
 
     def make_range_error(
         message: str, got: object, expected: str = RANGE_GRAMMAR, hint: str | None = None
     ) -> UsageError:
-        """Return the error of an invalid range."""
+        """Return the error about an invalid range."""
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     if kind in ("list", "value"):
         values = list(map(partial(_parse_word, where, key), words))
-    elif key.choices or (key.unit is None and (drawn or not key.integer)):
+    elif key.choices or (key.unit is None and (is_random or not key.integer)):
         hint = f"write {name}=VALUE,VALUE" if not key.choices else (
             f"write {name}={','.join(map(str, key.choices[:2]))}"
         )  # fmt: skip
@@ -183,7 +186,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
         if kind == "uniform" and b < a:
             hint = f"write uniform({words[1]},{words[0]},{words[2]})"
             raise make_range_error("empty range", f"{a:g} … {b:g}", hint=hint)
-        if drawn:
+        if is_random:
             return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
             raise _make_zero_crossing_error(text)
@@ -201,7 +204,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
 
 
 def _parse_word(where: str, key: Key, text: str) -> Any:
-    """Return a number in SI units, a whole number, one of the choices, or a value of TOML."""
+    """Return the value of a string for a key: a number in SI units, a choice, or a TOML value."""
     if key.choices and text not in key.choices:
         choices = f"one of {list_candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices) or f"for example {key.choices[0]}"
@@ -239,10 +242,10 @@ def parse_value(text: str, unit: str, where: str) -> float:
 
 @dataclass(frozen=True)
 class Plan:
-    """Swept ``keys`` in the order of the user, and all points.
+    """Points of a sweep, with the swept ``keys`` in the order of the user.
 
-    The points are all combinations of the ``blocks``; the last block varies fastest. The keys of
-    one block vary together. ``random`` are the keys with random samples.
+    The points are all combinations of the steps of the ``blocks``; the last block varies fastest.
+    The keys of one block vary together. ``random`` are the keys with random samples.
     """
 
     keys: tuple[str, ...]
@@ -270,8 +273,8 @@ class Plan:
     def ends(self) -> list[dict[str, Any]]:
         """Return the first point, and points that differ from it in one block.
 
-        In these points, a number of the block has its smallest or largest value, or a text value
-        occurs for the first time.
+        In each of these points, one number of a block has its smallest or largest value, or one
+        string of a block occurs for the first time.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
@@ -299,11 +302,11 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> Plan:
-    """Make the points of all combinations, or with ``zipped`` vary all keys together.
+    """Return the points of a sweep over ``ranges``: by default, all combinations of their values.
 
-    A random sample contains a value of every random key, so that these keys form one block. With
-    ``latin``, each of n equally likely intervals of a key contains one value (McKay, Beckman,
-    Conover 1979).
+    With ``zipped``, all keys vary together. A random sample contains a value of every random key,
+    so that these keys form one block. With ``latin``, each of n equally likely intervals of a key
+    contains one value (McKay, Beckman, Conover 1979).
 
     Raises
     ------

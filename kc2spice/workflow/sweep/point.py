@@ -68,7 +68,7 @@ class SceneText:
         home = Path(_unpack_files(self).name)
         try:
             return load_scene(home / f"{self.name}.toml", overrides)
-        except UsageError as error:  # the text of a row must not contain paths of a machine
+        except UsageError as error:  # rows must not contain paths of the worker's machine
             error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
             raise
 
@@ -171,7 +171,7 @@ class PointResult:
 
 
 def _override_texts(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the texts ``key=value`` of scene keys, without parameters of subcircuits."""
+    """Return the overrides ``key=value`` of scene keys, without parameters of subcircuits."""
     return tuple(
         f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER_KEY.fullmatch(k)
     )
@@ -195,7 +195,9 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         changed = (*job.parameters, *subcircuit_parameters(values))
         build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            return _metric_numbers(simulate_deck(build, deck, Path(directory), timeout=job.timeout))
+            return _make_point_result(
+                simulate_deck(build, deck, Path(directory), timeout=job.timeout)
+            )
     except MissingToolError:
         raise
     except Kc2spiceError as error:
@@ -242,23 +244,26 @@ def _disk_is_full() -> bool:
 
 
 # prevents threads of one worker from building the same model at the same time
-_lock = threading.Lock()
+_build_lock = threading.Lock()
 
 
 def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
-    """Return models and deck of a point; points that differ in subcircuit parameters share both."""
-    with _lock:
+    """Return the models and the deck of a point.
+
+    Points that differ only in subcircuit parameters share models and deck.
+    """
+    with _build_lock:
         return _build_testbench(replace(job, fixed=(*job.fixed, *_override_texts(values))))
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: Job) -> tuple[Build, Deck]:
-    """Return models and deck for the values of a job without swept keys."""
+    """Return the models and the deck of a job whose overrides contain the values of a point."""
     return prepare_deck(job.load({}), Clock())
 
 
-def _metric_numbers(run: Run) -> PointResult:
-    """Return the metrics of a run that are single numbers."""
+def _make_point_result(run: Run) -> PointResult:
+    """Return the result of a point: all single numbers among the metrics and facts of a run."""
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.facts
     units = {f"model.{part}": value_units(row) for part, row in facts["model"].items()}
@@ -270,7 +275,7 @@ def _metric_numbers(run: Run) -> PointResult:
 
 
 def _flatten_numbers(value: Mapping[str, Any]) -> dict[str, Number]:
-    """Return numbers, booleans and missing values by their dotted names."""
+    """Return the numbers, booleans and missing values in nested tables, keyed by dotted name."""
     result: dict[str, Number] = {}
     for name, item in flatten_mapping(value):
         item = item.item() if isinstance(item, np.generic) else item

@@ -38,14 +38,14 @@ _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
 
 class RowStore:
-    """Results of the points in an SQLite file; each row is complete or missing.
+    """Store of the results of sweep points in an SQLite file; each row is complete or missing.
 
-    ``digest`` is the digest of the sweep; ``failed`` are the points that have no numbers.
+    ``digest`` is the hash of all inputs of the sweep. ``failed`` are the points whose run failed.
 
     Raises
     ------
-    UsageError : another process writes to the database, or it contains another sweep or other
-        data.
+    UsageError : another process writes to the database, or the database contains another sweep or
+        other data.
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
@@ -66,7 +66,7 @@ class RowStore:
                     raise ValueError(
                         f"point {str(point)[:80]!r}, but the sweep has the points 0 to {points - 1}"
                     )
-                self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
+                self._store_outcome(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
             message = "this file is damaged, or is not the results file of this sweep"
             hint = "delete this file; the sweep then computes its points again"
@@ -101,10 +101,10 @@ class RowStore:
             hint = "the rows so far are kept: make room and give the same command again"
             message = f"this file cannot be written: {error}"
             raise UsageError(message, where=str(self.path), hint=hint) from None
-        self._write_row(point, outcome)
+        self._store_outcome(point, outcome)
 
-    def _write_row(self, point: int, outcome: PointResult) -> None:
-        """Write one row into the database."""
+    def _store_outcome(self, point: int, outcome: PointResult) -> None:
+        """Store the outcome of a point in memory, and update the set of failed points."""
         self.outcomes[point] = outcome
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
@@ -128,7 +128,10 @@ class RowStore:
 
 
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
-    """Raise an error if a run lacks one of the metrics, or has no number for the table."""
+    """Raise an error if a run has no number for the table of a sweep.
+
+    Each of the metrics ``names`` must exist; without ``names``, at least one metric must.
+    """
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
         if name not in known:
@@ -145,9 +148,9 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 def columns(
     outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """Return the table of swept keys, ``metrics`` and ``status``.
+    """Return the columns of the table of a sweep: swept keys, ``metrics`` and ``status``.
 
-    By default, ``metrics`` are all metrics of the runs. A missing number is None.
+    By default, the table contains all metrics of the runs. A missing number is None.
     """
     rows = sorted(outcomes.items())
     names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
@@ -182,7 +185,7 @@ def _csv_cell(value: Any) -> str | None:
 
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write a table as Parquet, in which numbers have their type."""
+    """Write a table as Parquet, which keeps the types of the numbers."""
     arrow = import_optional("pyarrow", "--format")
     parquet = import_optional("pyarrow.parquet", "--format")
 

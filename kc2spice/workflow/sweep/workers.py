@@ -19,8 +19,8 @@ from typing import Any
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import import_optional
 
-# Function whose context manager opens an executor, and yields the executor with the number of
-# workers. The function is called again if an executor is lost.
+# Function that returns a context manager, which opens an executor and yields the executor and the
+# number of workers. The function is called again if an executor is lost.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
 RECONNECT_TIME = 60.0  # s, time limit for the reconnection to a lost scheduler
 # Names of exceptions for lost workers and schedulers, so that Dask need not be imported.
@@ -106,10 +106,10 @@ def _initialise_worker(scratch: str) -> None:
 
 
 def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
-    """Return a function that opens the workers of a Dask scheduler.
+    """Return a function that connects to the workers of a Dask scheduler.
 
-    For the address ``local``, it starts ``count`` workers on this machine. A scheduler must first
-    answer within ``patience`` seconds, and after a loss of the connection within a minute.
+    For the address ``local``, the function starts ``count`` workers on this machine. The scheduler
+    must answer the first call within ``patience`` seconds, and later calls within a minute.
     """
     limits = chain([patience], repeat(RECONNECT_TIME))
 

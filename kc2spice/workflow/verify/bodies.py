@@ -33,7 +33,7 @@ from kc2spice.synthesis.circuit_error import accelerates_frame, reaction_mass
 from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.realize import apply_unit_load
 
-# Numbers of frequencies at which a large full model is solved: by default, and with --full.
+# Numbers of frequencies at which a large full model is solved: by default, and with ``--full``.
 SAMPLE_FREQUENCIES = 3
 FULL_FREQUENCIES = 40
 # number of unknowns up to which a full model is solved at all frequencies
@@ -58,11 +58,11 @@ def verify_body(
     thorough: bool,
     findings: Findings,
 ) -> None:
-    """Add both comparisons of a body to ``findings``.
+    """Add the comparisons of a body's full model, reduced model and netlist to ``findings``.
 
-    ``libraries`` are the tested subcircuits, from an exported deck or from this run. The
-    limit of the reduced model is the error estimate of its certificate, which is within the
-    tolerance.
+    ``libraries`` are the tested subcircuits, from an exported deck or from this run. The largest
+    accepted error of the reduced model is the error estimate of its certificate, which is within
+    the tolerance.
     """
     rom = build.model(part, LinearModel)
     band = choose_verified_band(rom, build)
@@ -110,8 +110,8 @@ def _check_against_full_model(
 ) -> float:
     """Check the error of a reduced model at the frequencies ``at`` [Hz], and return the error.
 
-    ``exact`` is the response of the full model. Frequencies at which its rounding errors exceed the
-    limit are omitted with a note, unless this concerns all frequencies.
+    ``exact`` is the response of the full model. Frequencies at which the rounding errors of this
+    response exceed the limit are omitted with a note, unless this concerns all frequencies.
     """
     estimate = rom.certificate.error_estimate if rom.certificate else 0.0
     limit = max(estimate, SOLVER_ROUNDING)
@@ -146,8 +146,8 @@ def list_netlist_checks(
 
     The response is compared with the response of the reduced model for all ports together. The
     capacitance, and the charge of each electrical port for each load, are compared separately,
-    relative to their own sizes. ``gate`` is the largest error. Other checks are passivity and
-    reciprocity. The ports ``given`` have prescribed temperatures.
+    relative to their own sizes. ``gate`` is the largest accepted error. Other checks are passivity
+    and reciprocity. ``given`` are the indices of the ports with prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.paired]
@@ -178,10 +178,10 @@ def list_netlist_checks(
 
 
 def solve_reduced(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return the response of a reduced model; of a heat model, by solving a linear system.
+    """Return the response of a reduced model at each ``frequency`` [Hz].
 
-    For distant ports, whose temperatures are small, a sum of modes would have larger rounding
-    errors than the solution of a linear system for each frequency.
+    For a heat model, a linear system is solved at each frequency. For distant ports, whose
+    temperatures are small, a sum of modes would have larger rounding errors.
     """
     if not is_heat_model(rom):
         return rom.transfer(frequency)
@@ -196,13 +196,13 @@ def compare_responses(
 ) -> float:
     """Return the largest relative error of a response (frequencies, outputs, inputs).
 
-    The responses H from heat flows to temperatures decay exponentially between distant ports. If
-    the temperatures of ports c are ``given``, the temperatures of the other ports s are compared by
-    T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c, where the error of the first term is
-    relative to its entries, and the error of the second term is relative to T_c. The heat flow of
-    prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored`` (frequencies,)
-    [W/K], the heat flow that changes the temperature of the whole body. The certificate states the
-    error of the inner temperatures relative to that heat flow.
+    The responses H from heat flows q to temperatures T decay exponentially between distant ports.
+    If the temperatures of ports c are ``given``, the temperatures of the other ports s are compared
+    by T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c. The error of the first term is
+    relative to its entries, and the error of the second term is relative to T_c. The error of the
+    heat flow of prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored``
+    [W/K], the heat flow that changes the temperature of the whole body at each frequency. The
+    certificate states the error of the inner temperatures relative to that heat flow.
     """
     if not given:
         return relative_error(response, exact)
@@ -214,14 +214,21 @@ def compare_responses(
 
 
 def _stored_heat(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return ``w C`` (frequencies,) [W/K] of the heat capacity of a whole body."""
+    """Return the heat flow [W/K] that changes the temperature of a whole body.
+
+    For the angular frequency w and the heat capacity C of the body, this is ``w C``.
+    """
     return 2 * np.pi * frequency * rom.facts.get(HEAT_CAPACITY_NAME, 0.0)
 
 
 def _convert_to_hybrid_parameters(
     H: np.ndarray, given: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return responses of other ports to heat and to given temperatures, and ``H_cc^-1``."""
+    """Return the three hybrid matrices of the responses H with ``given`` temperatures.
+
+    They are the responses of the other ports to their heat flows, their responses to the given
+    temperatures, and ``H_cc^-1``, the heat flows at the given temperatures (ports c).
+    """
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
     shares = H[:, others][:, :, given] @ admittance
@@ -237,7 +244,7 @@ def leakage_share(frequency: np.ndarray) -> float:
 
 
 def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
-    """Check stability, passivity and reciprocity of the reduced model.
+    """Return checks of the stability, passivity and reciprocity of the reduced model.
 
     For a general model, the growth rate ``Re p`` is relative to ``max(|p|, w)``, where ``w`` is the
     end of the band.
@@ -265,10 +272,11 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
 def list_structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
-    """Check that ``Re (s H)`` is positive semi-definite and that ``H`` is symmetric.
+    """Return checks that ``Re (s H)`` is positive semi-definite and ``H`` is symmetric.
 
-    Heat models have no ``rates``: ``Re H`` is checked instead. ``s H`` maps forces and voltages to
-    velocities and currents, and H maps heat flows to temperatures. A network is passive if the
+    For heat models (without ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and
+    voltages to velocities and currents, and H of heat models maps heat flows to temperatures. A
+    network is passive if the
     Hermitian part of this matrix has no negative eigenvalue at any frequency. Eigenvalues are
     relative to the largest entry of the balanced response. Reciprocity is checked for each pair of
     ports, relative to the response between these ports. For heat models, it is relative to the
@@ -295,7 +303,9 @@ def simulate_netlist_response(
     work: Path,
     band: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the response of the subcircuit in ngspice in SI units at its frequencies [Hz].
+    """Return the frequencies [Hz] and the response of a body's subcircuit in ngspice.
+
+    The response is an array of shape (frequencies, outputs, inputs) in SI units.
 
     One ``.ac`` deck contains a copy of the subcircuit for each port. Voltage sources drive
     electrical pins and acceleration pins. Mechanical pins are free, except for the unit load.
@@ -355,7 +365,10 @@ def _make_response_deck(
 
 
 def _solve_full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
-    """Return the response of the full model; scenes with the same body share a cache entry."""
+    """Return the response of the full model at the frequencies ``at`` [Hz].
+
+    Scenes with the same body share an entry of the cache.
+    """
     assert isinstance(part.type, LinearBody)
     key = part.type.model_key(part, build.scene)
     depends = {
@@ -402,12 +415,15 @@ def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.n
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """Select frequencies: one half where the response is largest, one half spread over all."""
+    """Return at most ``count`` of the frequencies ``at``.
+
+    One half are the frequencies with the largest responses; the other half are spread over all.
+    """
     if at.size <= count:
         return at
     size = np.abs(rom.transfer(at))
     top = size.max(axis=0)
-    # the response is zero at all frequencies
+    # an entry of the response may be zero at all frequencies
     peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = at[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
@@ -415,7 +431,7 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
 
 
 def _label_waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
-    """Return the responses as waves with names of load and port."""
+    """Return the responses ``H`` as waves, whose names contain the loaded and the output port."""
     data = {"frequency": frequency}
     for o, output in enumerate(rom.outputs):
         for i, source in enumerate(rom.inputs):

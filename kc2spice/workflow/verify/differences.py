@@ -1,4 +1,4 @@
-"""Differences of gates, waves and metrics between two solutions of a scene."""
+"""Differences of waves and metrics between two solutions of a scene, and checks of its gates."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def complete_solution(waves: Waveforms, build: Build) -> Solution:
 def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Return a check for each gate of a pair of solutions, and the largest leading difference.
+    """Return a check for each gate of a pair of solutions, and the largest main difference.
 
-    A gate is a pass limit. The difference of a leading gate is the error of the pair in the record.
+    A gate is a pass limit. The difference of a main gate is the error of the pair in the record.
 
     ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
     gate applies to the metric of its part.
@@ -103,7 +103,10 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
 
 
 def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]) -> float:
-    """Return the difference of the waves ``names`` between two solutions, defined by a gate."""
+    """Return the difference of the waves ``names`` between two solutions.
+
+    The key ``measure`` of the gate defines how the difference is measured.
+    """
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
     for name in names:
@@ -138,7 +141,7 @@ def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
 def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return common points of two solutions, and one wave of both at these points.
+    """Return common points of two solutions, and a wave of both solutions at these points.
 
     The points are the points of the coarser solution, within the times that both solutions contain.
     """
@@ -169,8 +172,8 @@ def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndar
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
     """Return the error of every wave that both solutions contain.
 
-    The result excludes waves that are zero within rounding errors. The rms is an integral over
-    time, because a mean over points would overweight the closely spaced points at a contact.
+    Waves that are zero within rounding errors are left out. The rms error is an integral over time,
+    because a mean over points would overweight the closely spaced points at a contact.
     """
     result = []
     scale = next(iter(exact.data))
@@ -190,7 +193,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
 def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
     """Integrate the squared magnitude of ``values``.
 
-    The integral of a single point is its square.
+    For a single point, the result is the squared magnitude.
     """
     if points.size > 1:
         return float(np.trapezoid(np.abs(values) ** 2, points))

@@ -51,10 +51,9 @@ def with_full_models(build: Build, clock: Clock) -> Build | None:
 
 
 def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
-    """Return ``build`` with a finer discretisation of ``parts``; None if no part has a finer
-    discretisation.
+    """Return ``build`` with a finer discretisation of ``parts``; None if there is none.
 
-    Examples are a film with more branches and a conductor with more loops.
+    Examples of finer discretisations are a film with more branches and a conductor with more loops.
     """
     scene, result = build.scene, {}
     for name in parts:
@@ -107,7 +106,7 @@ def solve_full_models(
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
             for body in chain.from_iterable(map(port_bodies_of, networks)):
-                # a surrogate would not be accurate enough
+                # this body kept its full model, because no surrogate is accurate enough
                 if body.model.order > MAX_DIRECT_UNKNOWNS:
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.time_stage("full model", words):
@@ -130,7 +129,7 @@ def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list
     bodies: dict[int, PortBody] = {}
 
     def replace_by_surrogate(law: Law) -> Law:
-        """Return a law with a surrogate model."""
+        """Return the law with a surrogate model in place of a large full model."""
         if not isinstance(law, PortBody) or law.model.order <= MAX_DIRECT_UNKNOWNS:
             return law
         if id(law.model) not in bodies:

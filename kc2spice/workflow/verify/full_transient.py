@@ -1,9 +1,10 @@
 """Transient analysis with full models, as a correction of the solution with reduced models.
 
-One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. The
-difference of both results is added to the exact solution with the reduced models. Both models have
-nearly the same error due to the time steps, which cancels in the difference, except for a share of
-the difference. A solution with steps twice as long measures this share.
+An integrator with equal steps (:mod:`kc2spice.reference.fixed_step`) solves the scene with full and
+with reduced models. The difference of both solutions is added to the exact solution with the
+reduced models. The time steps cause nearly the same error in both solutions, so that most of this
+error cancels in the difference. A second difference, with steps twice as long, shows the remaining
+error.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ MAX_WORK = 1e7  # largest product of unknowns and time steps of a full model
 MAX_STEPS = 4000
 FULL_STEP_FACTOR = 100.0  # factor on the largest number of steps with --full
 # Largest motion of a body's port that counts as rest, relative to the range of motion. The second
-# value holds if a small motion precedes the load, such as the ripple of a pulse-width modulated
-# force. Both models neglect this motion, so that the error of their difference is the product of
-# two small quantities.
+# value applies if a small motion precedes the load, such as the ripple of a pulse-width modulated
+# force. The solutions of both models neglect this motion, so that the error of their difference is
+# the product of two small quantities.
 REST_MOTIONS = (1e-9, 1e-3)
 
 
@@ -45,8 +46,8 @@ REST_MOTIONS = (1e-9, 1e-3)
 class FullSolution:
     """Waves of the full models over ``[0, end]``, at the times of the reduced models.
 
-    ``coarse`` are the waves with steps twice as long. ``end`` is the duration compared [s]; None
-    without a transient.
+    ``coarse`` are the waves with steps twice as long. ``end`` is the end of the compared time range
+    [s]; None without a transient.
     """
 
     waves: Waveforms
@@ -62,13 +63,13 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
     """
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
-    for compute_difference in differences:
-        resolved &= compute_difference.mask_equal_modes(time)
+    for difference in differences:
+        resolved &= difference.mask_equal_modes(time)
     waves = {name: values[resolved] for name, values in exact.results.data.items()}
     at = time[resolved]
-    for compute_difference in differences:
-        for name, change in compute_difference.results.items():
-            waves[name] = waves[name] + np.interp(at, compute_difference.time, change, left=0.0)
+    for difference in differences:
+        for name, change in difference.results.items():
+            waves[name] = waves[name] + np.interp(at, difference.time, change, left=0.0)
     return Waveforms(waves, {})
 
 
@@ -76,8 +77,9 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 class Difference:
     """Results of a network with full models minus the results with reduced models.
 
-    Both have equal time steps. ``apart`` (nt,) is true if a device has different modes with the two
-    models. ``events`` [s] are the events of the solution with the reduced models.
+    Both have equal time steps. ``apart`` contains a value for each time, which is true if a device
+    is in different modes in the two solutions. ``events`` [s] are the times of the events in the
+    solution with the reduced models.
     """
 
     time: np.ndarray
@@ -86,7 +88,7 @@ class Difference:
     events: tuple[float, ...]
 
     def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return a mask of the ``time`` at which both models are in the same mode.
+        """Return a mask that is true at each ``time`` at which both solutions are in the same mode.
 
         The mask is false within the step that contains an event. It is also false next to a step
         at whose end only one model has changed its mode.
@@ -105,7 +107,7 @@ class Difference:
 
 
 def port_bodies_of(network: Network) -> list[PortBody]:
-    """Return the bodies of a network whose laws have equations only at their ports."""
+    """Return those bodies of a network that have equations only at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 

@@ -30,11 +30,11 @@ INTEGRATOR_RTOL = 1.5e-9
 
 @dataclass(frozen=True)
 class Reference:
-    """Solution of a scene with reduced models from its equations.
+    """Solution of the equations of a scene with reduced models.
 
-    ``results`` are the waves of the ngspice results that the laws also determine. ``imbalance`` is
-    the error of the energy balance, relative to the turned-over energy; None except for a
-    transient. ``runs`` are the integrated networks.
+    ``results`` are the waves of those ngspice results that the equations also determine.
+    ``imbalance`` is the error of the energy balance of a transient, relative to the exchanged
+    energy; None for other analyses. ``runs`` are the integrated networks with their trajectories.
     """
 
     results: Waveforms
@@ -48,15 +48,15 @@ def solve_laws(
     replayed: Mapping[str, str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Reference:
-    """Solve the laws of a scene at the points of ``waves``, the results of ngspice.
+    """Solve the equations (laws) of a scene at the points of ``waves``.
 
-    On the nets ``replayed`` (:func:`kc2spice.equations.replay.find_replayed_nets`), sources
-    prescribe the values of ngspice.
+    ``waves`` are the results of ngspice. On the nets ``replayed``
+    (:func:`kc2spice.equations.replay.find_replayed_nets`), sources prescribe the values of ngspice.
 
     Raises
     ------
-    UsageError : the laws contradict each other.
-    SimulationError : there is no equilibrium, or a law is outside its valid range.
+    UsageError : the equations contradict each other.
+    SimulationError : there is no equilibrium, or an equation is outside its valid range.
     """
     networks = select_networks_to_solve(get_scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":
@@ -108,7 +108,7 @@ def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str
 def _solve_steady_waves(
     network: Network, build: Build, points: np.ndarray
 ) -> Mapping[str, np.ndarray]:
-    """Return the waves of the laws over frequency, over a dc sweep, or at the operating point."""
+    """Return the waves of a network in an ac analysis or dc sweep, or at the operating point."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return solve_ac(system, points)

@@ -1,7 +1,8 @@
 """Verification of scenes by independent solutions.
 
-:func:`verify_scenes` compares metrics and waves of the solutions of each scene, also with the gates
-(pass limits) of its parts. One record and one page are written for all scenes.
+:func:`verify_scenes` compares the metrics and waves of several solutions of each scene. The
+differences must be within the gates (pass limits) of the parts. One record and one page are written
+for all scenes.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ from kc2spice.workflow.verify.law_solution import solve_laws
 # Largest number of unknowns of a mesh with half the element size, which needs seconds and little
 # memory.
 MAX_FINER_UNKNOWNS = 30_000
-# Time limit for a finer discretisation: a multiple of the run's CPU time, plus some seconds.
+# Time limit for the solution with a finer discretisation: a multiple of the time that the solution
+# of the laws took, plus some seconds.
 TIME_FACTOR = 5.0
 EXTRA_SECONDS = 30.0
 
@@ -92,16 +94,16 @@ def verify_scenes(
     Parameters
     ----------
     full : solve full models to the end of the run and at every frequency, without a time limit.
-    deck : an exported deck of the single scene, verified instead of a new one.
-    trust : let the deck and included netlists act on the machine.
+    deck : an exported deck of the single scene, which is verified instead of a new deck.
+    trust : permit the deck and included netlists to run programs and to open files.
 
     Returns a mapping with ``passed``, and with ``scenes``, the record of each scene by its name. A
     missed gate is reported in these records, and raises no exception.
 
     Raises
     ------
-    UsageError : a ``deck`` for several scenes, a deck without the subcircuits of the scene, or as
-        :func:`kc2spice.workflow.decks.prepare_deck`.
+    UsageError : a ``deck`` is combined with several scenes, the deck does not contain the
+        subcircuits of the scene, or :func:`kc2spice.workflow.decks.prepare_deck` fails.
     MissingToolError : no ngspice; raised before finite elements are computed.
     SimulationError : one of the solutions ended without a result.
     """
@@ -117,7 +119,7 @@ def verify_scenes(
     if deck is not None:
         libraries = _included_subcircuits(read_checked_circuit(deck, trust=trust))
     find_ngspice()
-    answer: dict[str, Findings] = {}
+    findings: dict[str, Findings] = {}
     with stage_directory(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
@@ -129,9 +131,9 @@ def verify_scenes(
                 result = _Verification(build, clock, Path(scratch), full).findings(
                     prepared_deck, emitted
                 )
-            answer[scene.name] = result
-        write_verify(work / "verify.html", answer)
-        records = {name: item.record() for name, item in answer.items()}
+            findings[scene.name] = result
+        write_verify(work / "verify.html", findings)
+        records = {name: item.record() for name, item in findings.items()}
         passed = all(map(itemgetter("passed"), records.values()))
         return write_record({"passed": passed, "scenes": records}, work, "verify.json")
 
@@ -149,7 +151,7 @@ def _included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return ``scene`` with the ports of its bodies in the ``libraries``.
+    """Return ``scene`` with those ports of its bodies that the ``libraries`` contain.
 
     The library of an export has all declared ports of a body, including unconnected ports.
     """
@@ -188,7 +190,10 @@ class _Verification:
         return self.build.scene.analysis.type == "transient"
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
-        """Return the findings for bodies with ``libraries``, for the scene, and for full models."""
+        """Return the findings about the bodies, the scene and its full models.
+
+        ``libraries`` are the subcircuits of the bodies.
+        """
         result, build = self.outcome, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
@@ -230,7 +235,7 @@ class _Verification:
         return result
 
     def _explain_missing_law(self, name: str) -> str:
-        """Return the name of a part without equations, and the reason if the part states one."""
+        """Return the name of a part without equations, with the reason if the part states one."""
         reason = get_scene_laws(self.build).reasons_without_law[name]
         return f"{name} ({reason})" if reason else name
 
@@ -244,7 +249,7 @@ class _Verification:
     def _compare_solutions(self, deck: Deck) -> None:
         """Compare ngspice, the laws of the scene, and its full models, each with the others.
 
-        The full models may end before the run does.
+        The solution with full models may end before the end of the run.
         """
         build, waves, result = self.build, self._simulate(deck), self.outcome
         with self.clock.time_stage(
@@ -291,11 +296,10 @@ class _Verification:
     def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
-        """Compare the solution of the laws with a solution for finer discretisations.
+        """Compare the solution of the laws with a solution with finer discretisations.
 
-        Only parts with an error limit of the discretisation have a finer discretisation.
-
-        The integration takes at most ``seconds`` [s], unless the verification is thorough.
+        Only parts with an error limit for their discretisation are solved with a finer one. The
+        integration takes at most ``seconds`` [s], unless the verification is thorough.
         """
         scene, gates = self.build.scene, self.verdict.gates
         stated = {part for part, gate in gates if "rom_vs_fom" in gate.limits}
@@ -333,16 +337,19 @@ class _Verification:
         ]
 
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
-        """Return the error limits; in a transient, without the error limits of discretisations.
+        """Return the error limits that apply to comparisons of ngspice, laws and full models.
 
-        In a transient, error limits of discretisations apply to the comparison with a finer
-        discretisation only.
+        In a transient, error limits of discretisations are left out, because they apply only to the
+        comparison with a finer discretisation.
         """
         gates = self.verdict.gates
         return [item for item in gates if not (self.timed and item[1].discretisation)]
 
     def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
-        """Compare each solution with the last solution: gates, errors of all waves, and figures."""
+        """Compare each solution with the last solution, and return the errors of all waves.
+
+        The checks of gates, the errors and the figures are added to the findings.
+        """
         last = list(solutions)[-1]
         outputs: list[OutputError] = []
         for pair in fnmatch.filter(SOLUTION_PAIRS, f"*_vs_{last}"):
@@ -378,7 +385,7 @@ class _Verification:
     def _general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
     ) -> Iterator[Check]:
-        """Add the checks of the metric and the wave of ngspice with the largest errors."""
+        """Yield checks of the metric and of the wave of ngspice with the largest errors."""
         metric, wave = self._general_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
@@ -440,7 +447,7 @@ class _Verification:
             )
 
     def _compare_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
-        """Compare the effect of time steps that are twice as long with each gate."""
+        """Check that doubled time steps change the results by less than each gate permits."""
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
         for limit in list_gate_checks(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
@@ -454,7 +461,7 @@ class _Verification:
             )
 
     def _summarise_errors(self) -> None:
-        """Add the error of the reduction to the metrics, and the model size of a single body."""
+        """Add the error of the reduction to the metrics; for a single body, also its model size."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
@@ -466,7 +473,7 @@ class _Verification:
 
 
 def _max_unknowns() -> float:
-    """Return the largest number of unknowns of a mesh in space.
+    """Return the largest number of unknowns of a three-dimensional mesh.
 
     Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
     """
@@ -476,7 +483,10 @@ def _max_unknowns() -> float:
 
 
 class _IntegrationTimeoutError(Exception):
-    """Error of an integration beyond its time limit; ``share`` is the completed fraction."""
+    """Error about an integration that exceeds its time limit.
+
+    ``share`` is the completed fraction of the simulated time.
+    """
 
     def __init__(self, share: float) -> None:
         super().__init__(share)
