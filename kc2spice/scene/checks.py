@@ -111,7 +111,10 @@ class Balance(EqualByContent):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a run: its checks, and energy balances and error limits by part."""
+    """Verdict on a run: its checks, energy balances and error limits.
+
+    The entries of ``balances`` and ``gates`` are pairs of a part name and a record.
+    """
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
@@ -143,7 +146,7 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
 
 
 def motion_error_limit(solver: Solver) -> float:
-    """Return the limit of the relative error of motions in ngspice.
+    """Return the largest accepted relative error of motions that ngspice computes.
 
     The error is the difference to the motion in the reference solution. At the usual tolerances,
     the errors are 1e-5 to 3e-5. The errors are proportional to ``(reltol chgtol)^0.55``.
@@ -156,8 +159,8 @@ class Gate:
     """Error limit of a result: its largest accepted difference between two solutions.
 
     ``result`` is the name of a metric or a wave, or a prefix of names with a final ``*``.
-    ``limits`` contains the largest difference for each pair of solutions. ``measure`` states how
-    the difference is measured:
+    ``limits`` contains the largest accepted difference for each pair of solutions. ``measure``
+    states how the difference is measured:
 
     * *relative*: difference of each value divided by the value (arrays: values above 1e-6 of the
       largest value);

@@ -341,7 +341,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the only other part at a pin of a body reports the pin's current."""
+    """Return whether the current into a pin of a body is a result of the only other part there."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined_pins(body.name, pin):

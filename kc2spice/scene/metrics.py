@@ -25,7 +25,10 @@ from kc2spice.scene.settings import Probe
 
 
 class Metrics(NamedTuple):
-    """Values of metrics, and SI units of those metrics that have a unit, by dotted name."""
+    """Metrics of a run: their values, and the SI units of metrics with a unit.
+
+    The units are keyed by dotted name.
+    """
 
     values: dict[str, Any]
     units: dict[str, str]
@@ -34,7 +37,8 @@ class Metrics(NamedTuple):
 def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
     """Return the metrics of all probes and parts of a run.
 
-    ``partial`` waves are those of an interrupted run: metrics whose waves are missing are omitted.
+    With ``partial``, the waves are those of an interrupted run, and metrics whose waves are missing
+    are omitted.
     If several parts have a metric of the same name, the name of the part precedes the name of the
     metric: ``left.kick_stroke_m``.
     """

@@ -594,8 +594,8 @@ class Build:
     analysis, and ``noise_output`` the output of a noise analysis. ``laws`` are the equations of the
     parts (:func:`kc2spice.equations.scene_laws.get_scene_laws`).
     ``linearised`` contains the eigenmodes of the scene at the start of a transient
-    (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
-    the latest run.
+    (:func:`kc2spice.workflow.time_step.with_linearised_scene`). ``workspace`` contains large
+    results of the latest run.
     """
 
     scene: Scene
@@ -692,7 +692,7 @@ class Build:
 class PartType(Generic[KeysT]):
     """Base class of all part types; ``schema`` is the class of the keys of a part.
 
-    In a scene file, the key ``part`` has the value ``name``. The command ``scenes --parts`` prints
+    ``name`` is the value of the key ``part`` in scene files. The command ``scenes --parts`` prints
     ``title``. A subclass overrides the methods that it needs.
 
     The class of the argument ``scene`` is the stage at which a method is called. A
@@ -711,7 +711,7 @@ class PartType(Generic[KeysT]):
     source: ClassVar[str] = "circuit"
     # whether the names of the results depend on the model
     results_of_model: ClassVar[bool] = False
-    # whether the part adds the force ``-m a`` of a shaken frame at its pins
+    # whether the part adds the force ``-m a`` of an accelerated frame at its pins
     follows_frames: ClassVar[bool] = False
     #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
@@ -797,16 +797,16 @@ class PartType(Generic[KeysT]):
         """Return the directions of motion at the pins, keyed by pin.
 
         A direction is a unit vector (x, y, z) in the coordinates of the scene. Pins with unknown
-        direction are absent. The directions determine the inertia forces in shaken frames.
+        direction are absent. The directions determine the inertia forces in accelerated frames.
         """
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins at which the part has a mass.
 
-        This method is called if a pin of the part moves with a shaken frame, as on a body with an
-        acceleration port. The part must then add the force ``-m a`` of the frame at the returned
-        pins (:attr:`follows_frames`); otherwise the scene is rejected.
+        This method is called if a pin of the part moves with an accelerated frame, as on a body
+        with an acceleration port. The part must then add the force ``-m a`` of the frame at the
+        returned pins (:attr:`follows_frames`); otherwise the scene is rejected.
         """
         return ()
 

@@ -112,7 +112,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class SceneResults:
-    """Results of a scene.
+    """Results of a scene: netlist vectors, and powers that are computed from them.
 
     Attributes
     ----------
@@ -144,7 +144,8 @@ class SweptSource:
     """Source that a dc sweep of a key varies.
 
     ``scale`` is the value of the source in volts or amperes for one SI unit of the key. ``range``
-    contains the first and the last value in SI units if they differ from the range in the scene.
+    contains the first and the last value of the sweep in SI units, if they differ from the range in
+    the scene.
     """
 
     source: str

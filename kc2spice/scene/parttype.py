@@ -31,7 +31,7 @@ SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define se
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin if the only other part at the pin reports its current.
+    """Return the current into a pin, if it is a result of the only other part at the pin.
 
     Return None if several other parts are joined to the pin: the current is then the sum of the
     currents of these parts.

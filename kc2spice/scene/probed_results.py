@@ -1,4 +1,4 @@
-"""Check that each result that a probe of a scene reads exists.
+"""Check that every probe of a scene reads an existing result.
 
 The input is a build with or without models. The error about an unknown result names the probe and
 suggests existing results.
@@ -20,8 +20,8 @@ from kc2spice.scene.results import collect_results, find_noise_output
 def require_probed_results(build: Build) -> None:
     """Raise an error if a probe reads a result that the scene does not have.
 
-    Some part types have results that depend on the model. Probes of their results are checked only
-    after the model is built.
+    The names of the results of some part types depend on the model. Probes of such results are
+    checked only after the model is built.
 
     Raises
     ------

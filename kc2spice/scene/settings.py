@@ -204,7 +204,7 @@ class CheckActions(Section):
 
 
 class Bench(Section):
-    """Keys of the command ``bench``: its metrics and error limits."""
+    """Keys of the command ``bench``: the metrics whose errors it compares."""
 
     metric: tuple[str, ...] = Field(
         (),
@@ -479,7 +479,7 @@ class Probe(Section):
 
     @property
     def places(self) -> dict[str, float]:
-        """Positions on the scale of the analysis, keyed by the names of their keys."""
+        """Times, frequencies or swept values that the probe reads, keyed by the names of keys."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
 

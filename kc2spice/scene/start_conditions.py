@@ -36,7 +36,7 @@ def find_floating_nets(
 ) -> tuple[FloatingNets, ...]:
     """Return the groups of floating nets, in the order of the scene.
 
-    Parts without a model are treated as clamps.
+    A part whose model is not built yet is treated as a clamp.
     """
     return tuple(_describe_group(group, scene) for group in _floating_groups(scene, conditions))
 
@@ -61,7 +61,7 @@ def find_start_errors(
     mass jump. The force of such a jump is an impulse, so that the computed motion would depend on
     the time step.
 
-    Parts without a model are treated as elastic clamps.
+    A part whose model is not built yet is treated as an elastic clamp.
     """
     for group in _floating_groups(scene, conditions):
         floating = _describe_group(group, scene)

@@ -7,9 +7,9 @@ error of the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference has converged. If the scene sets a key to its finest value,
-such as a ``reltol`` of 1e-7, there is no finer run. The change by a coarser value is then part of
-every error. For the unchanged scene, ``bench`` also computes the same error estimate as a run with
-an ``error_budget``.
+such as a ``reltol`` of 1e-7, there is no finer run. The change of a metric due to a coarser value
+of this key is then part of every error. For the unchanged scene, ``bench`` also computes the same
+error estimate as a run with an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
@@ -97,8 +97,8 @@ class _TimedRun:
 class _SettingSearch:
     """Search over combinations of numerical settings, with all runs of the scene.
 
-    The runs are keyed by the labels of their settings. ``names`` are the metrics whose error
-    counts.
+    The runs are keyed by the labels of their settings. ``names`` are the metrics whose errors are
+    compared.
     """
 
     def __init__(self, run: Run) -> None:
@@ -125,11 +125,11 @@ class _SettingSearch:
 
     @cached_property
     def unrefined_errors(self) -> Errors:
-        """Error of each metric by settings that have their finest value in all runs."""
+        """Error of each metric due to settings that have their finest value in all runs."""
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
-        """Return the error estimate of the unchanged scene, with its meshes and tables."""
+        """Return the error estimate of the unchanged scene, including its meshes and tables."""
         result = refine.estimate_errors(self.runs, {})
         if result is None:
             return None
@@ -153,9 +153,10 @@ class _SettingSearch:
             self.points[label] = _TimedRun(combination, settings, run, errors, [run.cpu_s])
 
     def setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
-        """Return the errors that one value of a setting causes if all others are unchanged.
+        """Return the error of each metric that one value of a setting causes.
 
-        The errors of a value are at least the errors of every finer value.
+        All other settings are those of the unchanged scene. The errors of a value are at least the
+        errors of every finer value.
         """
         if (setting.name, steps) not in self.errors_by_setting:
             finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]

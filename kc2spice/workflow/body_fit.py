@@ -76,7 +76,7 @@ class BodyFit:
 
     @property
     def Y(self) -> np.ndarray:
-        """Measured admittance (n,) [S]."""
+        """Measured admittance [S] at each frequency."""
         return self.data.Y[:, 0, 0]
 
     @property
@@ -139,7 +139,7 @@ class BodyFit:
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of the full model."""
+        """Return the admittance [S] of the full model at each measured frequency."""
         model = self.full(values, moved=False)
         pencil = project_on_modes(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
@@ -153,10 +153,10 @@ class BodyFit:
         return find_damping(self.scene.part(self.part))
 
     def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of a reduced model with complex constants of IEEE 176.
+        """Return the admittance [S] of a reduced model with the complex constants of IEEE 176.
 
-        The stiffness in the scene is the stiffness at the frequency of the damping, or at the
-        lowest resonance that a voltage excites.
+        The stiffness depends on the frequency. The stiffness in the scene applies at the frequency
+        of the damping, or at the lowest resonance that a voltage excites.
         """
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
@@ -184,7 +184,7 @@ class BodyFit:
     def viscous_response(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance (n,) [S] with viscous damping in proportion to the stiffness.
+        """Return the admittance [S] with viscous damping in proportion to the stiffness.
 
         The Q factor at the lowest resonance that a voltage excites is that of the ``values``.
         """
@@ -204,15 +204,15 @@ class BodyFit:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Frequencies (n + 1,) [Hz]: one near zero, then the frequencies of the data."""
+        """Frequencies [Hz] of model responses: one near zero, then those of the data."""
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
     def lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance (n,) [S] with dielectric loss, from the charge without this loss.
+        """Return the admittance [S] with dielectric loss, from the charge without this loss.
 
-        ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
+        ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
         tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
@@ -224,10 +224,11 @@ class BodyFit:
     def log_admittance_changes(
         self, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return the change (n,) of the logarithm of the fitted admittance for each likely cause.
+        """Return how much each likely cause of a misfit changes the logarithm of the admittance.
 
-        ``Y`` (n,) [S] is the fitted admittance. The causes are effects that the scene can lack:
-        losses that are not varied, and the leads of the measurement.
+        ``Y`` [S] is the fitted admittance. The changes are keyed by the description of the cause.
+        The causes are effects that the scene can lack: losses that are not varied, and the leads of
+        the measurement.
         """
         model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
@@ -260,7 +261,7 @@ class BodyFit:
         return {name: column / self.noise for name, column in result.items()}
 
     def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of a reduced model at ``values`` of the keys."""
+        """Return the admittance [S] of a reduced model at ``values`` of the keys."""
         model = reduced.at(values)
         if self.damping.model == "ieee176":
             return self.complex_constants_response(model.pencil, values)

@@ -45,7 +45,7 @@ MISFIT_ADVICE = (
 
 
 def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.ndarray:
-    """Return the admittance (n,) [S] of a part: current divided by voltage in the scene.
+    """Return the admittance [S] of a part: its current divided by its voltage in the scene.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _find_network(scene: Scene, part: str) -> Network:
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """Least-squares fit of all curves, whose unknowns are the logarithms of the keys."""
+    """Least-squares fit of a scene to curves; the unknowns are the logarithms of the keys."""
 
     scene: Scene
     part: str
@@ -146,12 +146,12 @@ class CircuitFit:
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits (keys,) of the logarithms of the absolute values."""
+        """Lower and upper limits of the logarithm of the absolute value of each key."""
         ends = np.log(np.abs([[item.low, item.high] for item in self.keys]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the values of the keys at the logarithms ``x`` (keys,)."""
+        """Return the value of each key from its logarithm in ``x``."""
         signs = np.sign([item.low for item in self.keys])
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(map(attrgetter("key"), self.keys), values.tolist(), strict=True))
@@ -161,16 +161,16 @@ class CircuitFit:
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance (n,) [S] of the part in the scene of one curve."""
+        """Return the admittance [S] of the part in the scene of one curve."""
         self.counted[0] += 1
         self.progress("fit", None, f"response {self.counted[0]}")
         overrides = {**self.name_scene_keys(values), **curve.overrides}
         return compute_admittance(load_scene(self.scene, overrides), self.part, curve.data.f)
 
     def residuals(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the residuals (2 n,) of all curves: real parts, then imaginary parts.
+        """Return the residuals of all curves in units of the noise.
 
-        The residuals are in units of the noise.
+        The real parts of all curves come before the imaginary parts.
         """
         rows = []
         for curve in self.fitted_curves:
@@ -180,7 +180,7 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals for the logarithms ``x``; impossible values have large residuals."""
+        """Return the residuals at the logarithms ``x``; impossible values have large residuals."""
         try:
             return self.residuals(self.values(x))
         except (UsageError, SimulationError):
@@ -207,7 +207,7 @@ class CircuitFit:
         UsageError : the scene of a curve is not valid at the first values.
         """
         values = read_key_values(self.keys)
-        self.residuals(values)  # errors of the scene at its own values are raised unchanged
+        self.residuals(values)  # raises the error of an invalid scene before the fit begins
         start = np.log(np.abs(list(values.values())))
         return least_squares(
             self.deviation, start, self.jacobian, self.bounds,

@@ -52,8 +52,8 @@ def prepare_deck(
     """Return the models and the deck of ``scene``, or its ``edited`` deck.
 
     Wiring errors state file and line, and are raised before the simulator starts. ``functions`` are
-    the Python functions of controllers by part. Raises as :func:`make_deck` and
-    :func:`kc2spice.netlist.edited_deck.read_edited_deck` do.
+    the Python functions of controllers, keyed by part. Raises the errors of :func:`make_deck` and
+    :func:`kc2spice.netlist.edited_deck.read_edited_deck`.
     """
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("export", "netlists"):

@@ -235,7 +235,7 @@ def _require_one_port(measured: MeasuredAdmittance) -> None:
 
 
 def _require_keys(vary: object, part: str) -> None:
-    """Raise an error if no key varies."""
+    """Raise an error if ``vary`` contains no key."""
     if not vary:
         raise UsageError(
             "the option --vary is missing",
@@ -250,7 +250,7 @@ def _make_record(
 ) -> dict[str, Any]:
     """Return the content of ``fit --json``.
 
-    ``start`` is the admittance (n,) [S] at the values of the scene.
+    ``start`` is the admittance [S] of the model at the values of the scene.
     """
     described = describe_values(body.keys, end.values, end.solved.jac, end.solved.fun)
     rms = float(np.sqrt(np.mean(np.abs(end.exact / body.Y - 1) ** 2)))

@@ -44,7 +44,7 @@ class MeasurementKeys(Section):
 
 
 class MeasurementListKeys(Section):
-    """All curves of a fit."""
+    """Keys of a TOML file that lists all measured curves of a fit."""
 
     curve: list[MeasurementKeys] = Field(
         min_length=1, description="Measured curves, one table for each"
@@ -64,7 +64,7 @@ class MeasuredCurve:
 
     @property
     def Y(self) -> np.ndarray:
-        """Measured admittance (n,) [S]."""
+        """Measured admittance [S] at each frequency."""
         return self.data.Y[:, 0, 0]
 
 

@@ -71,12 +71,12 @@ class Descent:
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits (keys,) of the logarithms of the absolute values."""
+        """Lower and upper limits of the logarithm of the absolute value of each key."""
         ends = np.log(np.abs([[axis.low, axis.high] for axis in self.parameter_axes.values()]))
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the values of the keys for the logarithms ``x`` (keys,), limited to the range."""
+        """Return the value of each key from its logarithm in ``x``, limited to the range."""
         signs = np.sign(list(map(attrgetter("low"), self.parameter_axes.values())))
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
@@ -86,7 +86,7 @@ class Descent:
         return self.log_ratio(self.body.response(self.reduced, self.values(x)))
 
     def log_ratio(self, Y: np.ndarray) -> np.ndarray:
-        """Return real and imaginary parts (2 n,) of log(Y / measurement), divided by the noise."""
+        """Return real and imaginary parts of log(Y / measured admittance), divided by the noise."""
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
@@ -107,7 +107,7 @@ class Descent:
         return np.column_stack(columns)
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the logarithms (keys,) of values, limited to the range."""
+        """Return the logarithm of the value of each key, limited to the range."""
         return np.clip(
             np.log(np.abs(list(map(values.__getitem__, self.parameter_axes)))), *self.bounds
         )

@@ -73,7 +73,7 @@ def describe_values(
 
 
 def describe_error(size: np.ndarray) -> dict[str, float]:
-    """Return the rms and the largest relative error of ``|Z|``, from the errors ``size`` (n,)."""
+    """Return the rms and the largest value of the relative errors ``size`` of ``|Z|``."""
     return {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())}
 
 

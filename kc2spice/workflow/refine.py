@@ -62,7 +62,7 @@ MAX_STEP_GAIN = 4.0
 MAX_ADDED_STEPS = 3
 # Smallest reference of a metric, as a fraction of the largest metric with the same unit.
 NEAR_ZERO_SHARE = 0.1
-# the same for small-signal analyses, whose metrics are not small differences
+# Smallest reference in small-signal analyses, whose metrics are not small differences.
 SMALL_SIGNAL_SHARE = 1e-6
 # Largest ratio of successive estimates that counts as convergence, and number of larger ratios
 # after which the refinement ends.
@@ -101,7 +101,7 @@ class RefinedRuns:
     def run_at(self, steps: RefinementSteps) -> Run:
         """Return the run with settings refined by ``steps``.
 
-        Raises as :func:`kc2spice.workflow.simulate.simulate_deck` does.
+        Raises the errors of :func:`kc2spice.workflow.simulate.simulate_deck`.
         """
         build, settings = self.start.build, refine_settings(self.all_settings, steps)
         if repr(settings) not in self.run_cache:
@@ -191,8 +191,8 @@ def _format_size(unknowns: float, memory: float) -> str:
 def factor_bytes(unknowns: float, dimensions: int) -> float:
     """Return the memory [B] of a factorised stiffness matrix.
 
-    The number of nonzeros of the factor grows as n^(4/3) in space and as n log n in a plane (A.
-    George, SIAM J. Numer. Anal. 10 (1973) 345).
+    For n unknowns, the number of nonzeros of the factor grows as n^(4/3) in three dimensions, and
+    as n log n in a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345).
     """
     if dimensions == 3:
         # imported here, because the module loads the finite elements
@@ -213,7 +213,7 @@ def evaluate_scene(
 ) -> Run:
     """Build and simulate ``scene``, and compute its metrics.
 
-    Raises as :func:`simulate_deck` does.
+    Raises the errors of :func:`simulate_deck`.
     """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("refined run", text), tempfile.TemporaryDirectory() as folder:
@@ -299,7 +299,7 @@ class RunEstimate:
 
 @dataclass(frozen=True)
 class ConvergedRun:
-    """Final run of an error budget, its check, and all estimates.
+    """Final run of the refinement for an error budget, its check, and all error estimates.
 
     ``shares`` are the errors of single settings. ``limits`` are the largest number of unknowns and
     the largest memory [B] of a refined mesh.
@@ -437,7 +437,7 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
 def estimate_by_coarser_runs(
     runs: RefinedRuns, steps: RefinementSteps, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimate the error of each of the ``metrics`` that ``unmoved`` settings cause.
+    """Estimate the error that the settings ``unmoved`` cause in each of the ``metrics``.
 
     The estimate is the larger of two values: the error estimate of the mesh of a body, and the
     change of the metric by a coarser setting. A refinement step at least halves an error, so that
@@ -463,8 +463,9 @@ def _refine_dominant_setting(
 ) -> RefinementSteps | None:
     """Refine the setting that changes the metrics most, by several steps if necessary.
 
-    ``shares`` are the changes by single settings. A call adds missing entries, and deletes the
-    entry of the refined setting. The result is None if no setting can be refined.
+    ``shares`` contains, for each setting, the largest estimated error that it causes in a metric.
+    A call adds missing entries, and deletes the entry of the refined setting. The result is None if
+    no setting can be refined.
     """
     for setting in runs.refinable:
         if setting.name not in shares and setting.name not in now.unmoved:

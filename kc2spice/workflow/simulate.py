@@ -207,7 +207,7 @@ def run_simulation(
 ) -> Waveforms:
     """Run ``deck`` in ngspice, in ``directory``.
 
-    Raises as :meth:`kc2spice.sim.engines.Engine.run` does.
+    Raises the errors of :meth:`kc2spice.sim.engines.Engine.run`.
     """
     return choose_engine(get_scene_laws(build), deck, directory, progress, timeout).run(deck)
 

@@ -1,1 +1,1 @@
-"""Sweeps: runs of one scene with other values, which share models, on any pool of workers."""
+"""Sweeps: runs of one scene with different key values, which share models and workers."""

@@ -41,7 +41,7 @@ class RandomSample:
     n: int
 
     def quantiles(self, share: np.ndarray) -> Values:
-        """Return the quantiles of the distribution at the probabilities ``share`` (n,)."""
+        """Return the quantile of the distribution at each of the probabilities ``share``."""
         if self.kind == "uniform":
             return tuple((self.a + (self.b - self.a) * share).tolist())
         from scipy.special import ndtri

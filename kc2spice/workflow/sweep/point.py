@@ -62,7 +62,7 @@ class SceneText:
     files: tuple[tuple[str, bytes], ...] = ()
 
     def load(self, overrides: Sequence[str]) -> Scene:
-        """Return the scene with ``overrides``; raises as :func:`load_scene` does."""
+        """Return the scene with ``overrides``; raises the errors of :func:`load_scene`."""
         if self.text is None:
             return load_scene(self.name, overrides)
         home = Path(_unpack_files(self).name)
@@ -145,7 +145,10 @@ class Job:
     workspace: Workspace = field(default_factory=Workspace, compare=False)
 
     def load(self, values: Mapping[str, Any]) -> Scene:
-        """Return the scene with these values of swept keys; raises as :func:`load_scene` does."""
+        """Return the scene with these values of swept keys.
+
+        Raises the errors of :func:`load_scene`.
+        """
         overrides = (*self.fixed, *_override_texts(values))
         if isinstance(self.scene, SceneText):
             scene = self.scene.load(overrides)

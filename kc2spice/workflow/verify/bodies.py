@@ -142,12 +142,13 @@ def list_netlist_checks(
     gate: float,
     given: Sequence[int] = (),
 ) -> list[Check]:
-    """Return checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
+    """Return checks of the response ``emitted`` of the netlist of a body.
 
-    The response is compared with the response of the reduced model for all ports together. The
-    capacitance, and the charge of each electrical port for each load, are compared separately,
-    relative to their own sizes. ``gate`` is the largest accepted error. Other checks are passivity
-    and reciprocity. ``given`` are the indices of the ports with prescribed temperatures.
+    ``emitted`` is an array of shape (frequencies, outputs, inputs). The response is compared with
+    the response of the reduced model for all ports together. The capacitance, and the charge of
+    each electrical port for each load, are compared separately, relative to their own sizes.
+    ``gate`` is the largest accepted error. Other checks are passivity and reciprocity. ``given``
+    are the indices of the ports with prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.paired]
@@ -194,7 +195,9 @@ def compare_responses(
     given: Sequence[int] = (),
     stored: np.ndarray | float = 0.0,
 ) -> float:
-    """Return the largest relative error of a response (frequencies, outputs, inputs).
+    """Return the largest relative error of a response, compared with the exact response.
+
+    Both responses are arrays of shape (frequencies, outputs, inputs).
 
     The responses H from heat flows q to temperatures T decay exponentially between distant ports.
     If the temperatures of ports c are ``given``, the temperatures of the other ports s are compared
@@ -246,8 +249,8 @@ def leakage_share(frequency: np.ndarray) -> float:
 def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
     """Return checks of the stability, passivity and reciprocity of the reduced model.
 
-    For a general model, the growth rate ``Re p`` is relative to ``max(|p|, w)``, where ``w`` is the
-    end of the band.
+    For a general model, the growth rate ``Re p`` of a pole ``p`` is relative to ``max(|p|, w)``,
+    where ``w`` is the end of the band.
     """
     modal = resonators(rom)
     if modal is not None:
@@ -410,7 +413,7 @@ def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
     result = choose_adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
-    # Four digits, so that models that differ only in ports have the same sample frequencies.
+    # Frequencies have four digits, so that models that differ only in ports share the frequencies.
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 

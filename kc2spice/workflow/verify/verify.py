@@ -247,7 +247,7 @@ class _Verification:
         return waves
 
     def _compare_solutions(self, deck: Deck) -> None:
-        """Compare ngspice, the laws of the scene, and its full models, each with the others.
+        """Compare the solutions of ngspice, of the laws, and of the full models with each other.
 
         The solution with full models may end before the end of the run.
         """
@@ -501,7 +501,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
     begin = time.monotonic()
 
     def report_in_time(done: float) -> None:
-        """Raise an error if the time limit is exceeded."""
+        """Report the progress; raise an error if the time limit is exceeded."""
         progress(done)
         if time.monotonic() - begin > seconds:
             raise _IntegrationTimeoutError(done)
