@@ -389,11 +389,11 @@ def _make_unjoined_error(
         hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
     ground = [] if terminal.moving else [GROUND]
     kind = "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of {terminal.kind}"
-    what = "a pin of displacement" if terminal.moving else kind
+    what = "a displacement pin" if terminal.moving else kind
     return UsageError(
         f"pin {pin} of {name} is not connected",
         where=f"{name}.pins.{pin}",
-        expected=f"{what}: {', '.join([*names[:count], *ground]) or 'none is here'}{more}",
+        expected=f"{what}: {', '.join([*names[:count], *ground]) or 'the scene has none'}{more}",
         hint=hint,
     )
 

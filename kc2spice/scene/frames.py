@@ -190,7 +190,7 @@ def _require_inertial_force(
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_name_frame(frame)}",
                 expected="ports and accelerations whose directions the body states",
-                hint=f"state axis or dof of the ports of {frame.body}, or put the mass into its "
+                hint=f"state axis or dof of the ports of {frame.body}, or add the mass to its "
                 "matrices",
             )
 

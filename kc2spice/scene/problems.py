@@ -145,7 +145,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             got=" to ".join(format_quantity(end, "Hz", 12) for end in (start, stop)),
             expected=f"a stop above the start, {format_quantity(start, 'Hz')}"
             if stop <= start
-            else f"points that differ by more than {SMALLEST_STEP_RATIO:g} of the stop",
+            else f"frequency steps of more than {SMALLEST_STEP_RATIO:g} times the stop",
             hint=f'for example  stop = "{format_quantity(10 * start, "Hz")}"',
         )
     if selected.scale != "log":
@@ -304,7 +304,7 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
     kinds = ("ac",) if probe.at is not None else ("ac", "transient")
     if selected.type not in kinds:
         yield UsageError(
-            "this analysis has no such sound pressure level",
+            "this analysis cannot compute this sound pressure level",
             where=f"{where}.take",
             got=f"{selected.type} analysis{' and the key at' if probe.at is not None else ''}",
             expected=f"type = {' or '.join(kinds)}",

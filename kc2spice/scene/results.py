@@ -224,6 +224,6 @@ def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
             where="analysis.to",
             got=got,
             expected=expected,
-            hint="write a value of to that differs from from",
+            hint="write different values for the keys from and to",
         )
     return first, last

@@ -91,7 +91,7 @@ class Rom(Section):
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key order"
             raise invalid_value_error(
-                "order and tolerance are both set", "one of the two", hint=hint
+                "order and tolerance are both set", "either order or tolerance", hint=hint
             )
         return data
 

@@ -187,8 +187,7 @@ def _list_velocity_jump_errors(
                 f"infinite force",
                 f"{driven[0]} fixed to {part.name}",
                 "a spring or an elastic body between both parts",
-                f'kind = "force" pushes {driven[0]}; a spring as stiff as the joint follows a '
-                "displacement",
+                f'use kind = "force", or join {driven[0]} to {part.name} by a spring',
             )
 
 

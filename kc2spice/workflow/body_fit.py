@@ -106,7 +106,7 @@ class BodyFit:
                 "the ranges contain values that the part cannot have",
                 where=", ".join(map(attrgetter("key"), self.keys)),
                 got=error.message if error.got is None else f"{error.message}: {error.got}",
-                expected="ranges of possible parts",
+                expected="ranges in which every value is valid for the part",
                 hint="write a narrower range: --vary KEY=LOW:HIGH",
             ) from None
         part = loaded.part(self.part, where=self.part)

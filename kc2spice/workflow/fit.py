@@ -258,7 +258,7 @@ def _make_record(
         raise UsageError(
             "no values in the ranges give the measured impedance",
             where=body.data.where,
-            got=f"{rms:.2g} of |Y| as the rms misfit after {len(ends)} fits",
+            got=f"an rms misfit of {rms:.2g} times |Y| after {len(ends)} fits",
             expected=f"less than {MAX_MISFIT:g}",
             hint="check the part and the unit of the frequency, then vary one key, such as a "
             "thickness",

@@ -188,8 +188,8 @@ def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
     raise UsageError(
         "the fit does not converge",
         where=body.data.where,
-        got=f"values of mesh and reduced model that differ after {RANGE_COUNT} rounds",
-        expected=f"within {CONVERGED_CHANGE:g} standard errors",
+        got=f"fitted values that still change after {RANGE_COUNT} rounds of corrections",
+        expected=f"changes of less than {CONVERGED_CHANGE:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )
 

@@ -218,7 +218,7 @@ def _search_larger_order(
             break
         estimate = estimate_error(larger)
         if estimate is None:
-            end = "there is no model of more states to compare larger ones with"
+            end = "there is no model with more states to estimate the error of larger models"
             break
         if estimate[0] < least:
             least, states = estimate[0], (model.order, larger.order)

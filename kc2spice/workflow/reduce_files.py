@@ -356,9 +356,9 @@ def _reject_unstable_model(model: LinearModel, band: tuple[float, float] | None)
             "the model is unstable",
             where=model.name,
             got=got,
-            expected="poles that do not grow",
-            hint="check the signs of the matrices, and that both triangles are present; nothing "
-            "was reduced or written",
+            expected="poles in the left half plane",
+            hint="check the signs of the matrices, and that symmetric matrices contain both "
+            "triangles; nothing was reduced or written",
         )
 
 
@@ -630,8 +630,9 @@ def require_stable(record: dict[str, Any]) -> None:
             "the model is unstable",
             where=record["model"],
             got="a pole in the right half plane",
-            expected="poles that do not grow",
-            hint=f"check the signs of the matrices, and that both triangles are present{written}",
+            expected="poles in the left half plane",
+            hint="check the signs of the matrices, and that symmetric matrices contain both "
+            f"triangles{written}",
         )
 
 

@@ -59,7 +59,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
     if data.quantity == "zth":
         if power is not None:
             raise UsageError(
-                "this option applies only to temperatures",
+                "this option applies only to a measured temperature",
                 where="--power",
                 got=f"{power} beside a thermal impedance, which is per watt",
                 expected="a column of the temperature",

@@ -143,7 +143,11 @@ def make_sweep(
             if name in ranges:
                 hint = f"delete one of the options --set {name}=…"
                 raise UsageError(
-                    "this key is swept twice", where="--set", got=name, expected="once", hint=hint
+                    "this key is swept twice",
+                    where="--set",
+                    got=name,
+                    expected="one --set for each key",
+                    hint=hint,
                 )
             ranges[name] = value
             firsts += [] if parameter else [f"{name}={words[0]}"]

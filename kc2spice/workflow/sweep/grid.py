@@ -164,7 +164,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
         hint = f"write {name}=VALUE,VALUE" if not key.choices else (
             f"write {name}={','.join(map(str, key.choices[:2]))}"
         )  # fmt: skip
-        raise make_range_error("only numbers have such a range", name, hint=hint)
+        raise make_range_error("only keys with numbers have such a range", name, hint=hint)
     elif len(words) != 3:
         raise make_range_error(
             f"{kind} takes three values", ", ".join(words), hint=f"write the three values of {kind}"
@@ -179,13 +179,13 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
         a, b = map(float, map(partial(_parse_word, where, key), words[:2]))
         if kind == "normal" and b < 0:
             raise make_range_error(
-                "a standard deviation is not negative",
+                "the standard deviation is negative",
                 f"{b:g}",
                 hint=f"write {words[1].lstrip('-')} in place of {words[1]}",
             )
         if kind == "uniform" and b < a:
             hint = f"write uniform({words[1]},{words[0]},{words[2]})"
-            raise make_range_error("empty range", f"{a:g} … {b:g}", hint=hint)
+            raise make_range_error("the range is empty", f"{a:g} … {b:g}", hint=hint)
         if is_random:
             return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
@@ -194,12 +194,14 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
         if key.integer and not all(map(float.is_integer, values)):
             low, high = sorted((round(a), round(b)))
             hint = f"write {','.join(map(str, range(low, min(high, low + 4) + 1)))}"
-            raise make_range_error("not all values are whole numbers", values[:5], hint=hint)
+            raise make_range_error(
+                "not all values of this range are whole numbers", values[:5], hint=hint
+            )
         values = list(map(int, values)) if key.integer else values
     if len(set(map(repr, values))) < len(values):
         once = list(dict.fromkeys(words))
         hint = f"write {name}={','.join(once)}" if kind == "list" else "write two different ends"
-        raise make_range_error("a value occurs twice", words, hint=hint)
+        raise make_range_error("a value occurs twice in this range", words, hint=hint)
     return tuple(values)
 
 

@@ -135,7 +135,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
         if name not in known:
-            raise unknown("the result has no number of this name", name, known, "--metric")
+            raise unknown("the result has no number with this name", name, known, "--metric")
     if not names and not outcome.metrics:
         raise UsageError(
             "this scene has no metric that is a number, so the table of the sweep is empty",
