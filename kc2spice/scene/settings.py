@@ -153,7 +153,9 @@ class Solver(Section):
             "explain prints the step)"
         ),
     )
-    stop: Time = Field(5e-3, gt=0, description="End of the transient")
+    stop: Time = Field(
+        5e-3, gt=0, description="End of a transient, if the key analysis.stop has no value"
+    )
     retries: Count = Field(
         3,
         ge=0,
@@ -209,7 +211,8 @@ class Bench(Section):
     metric: tuple[str, ...] = Field(
         (),
         max_length=64,
-        description="Metrics whose errors are compared; by default all metrics that are numbers",
+        description="Metrics whose errors the command bench compares; by default all metrics that "
+        "are numbers",
     )
 
 
@@ -285,7 +288,7 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest relative difference of the frequency response between reduced and "
-            "full model over the band"
+            "full model in the band of the reduction"
         ),
     )
     harmonic_low: Ratio = Field(
@@ -363,7 +366,10 @@ class Analysis(Section):
     )
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of an ac or noise analysis")
     points: Annotated[Count, RefinementRule(2.0, spaces=True)] = Field(
-        200, ge=2, le=200_000, description="Smallest number of points of a response or sweep"
+        200,
+        ge=2,
+        le=200_000,
+        description="Smallest number of frequencies of a response or values of a sweep",
     )
     scale: Literal["log", "linear"] = Field(
         default_factory=_default_scale,
@@ -455,7 +461,9 @@ class Probe(Section):
         "requires take = value or spl",
     )
     level: Ratio | None = Field(
-        None, description="Level of a crossing, in the SI unit of the result"
+        None,
+        description="Value that the result crosses, in the SI unit of the result; requires "
+        "take = crossing",
     )
     from_: Place | None = Field(
         None,

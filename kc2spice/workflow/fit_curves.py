@@ -36,7 +36,9 @@ class MeasurementKeys(Section):
         {}, description="Keys of the scene in this measurement, as for the option --set"
     )
     band: tuple[Frequency, Frequency] | None = Field(
-        None, description="Lowest and highest frequency to use; by default all frequencies"
+        None,
+        description="Lowest and highest frequency of the curve that the fit uses; by default all "
+        "frequencies",
     )
     predict: bool = Field(
         False, description="Whether the curve is compared with the fit, but not fitted"
