@@ -74,7 +74,7 @@ def _with_nets(scene: Scene) -> Scene:
     for part in scene.parts.values():
         for terminal in part.type.pins(part, scene):
             terminals[part.name, terminal.name] = terminal
-    _require_distinct_pins(terminals)
+    _require_distinct_pin_names(terminals)
     scene = replace(scene, terminals=terminals)
     union = DisjointGroups([_GROUND_PIN, *terminals])
     for part in scene.parts.values():
@@ -87,10 +87,10 @@ def _with_nets(scene: Scene) -> Scene:
         _require_one_kind(net, scene)
     scene = with_rests(replace(scene, nets=_name_nets(groups, scene)))
     scene = _with_inner_names(scene)
-    _require_joined(scene, {net[0] for net in groups if len(net) == 1})
-    _require_one_output(scene)
-    _require_distinct_ends(scene)
-    _require_no_source_loop(scene)
+    _require_joined_pins(scene, {net[0] for net in groups if len(net) == 1})
+    _require_one_output_per_net(scene)
+    _require_pins_on_distinct_nets(scene)
+    _reject_source_loops(scene)
     _require_ground(scene)
     return scene
 
@@ -240,7 +240,7 @@ def _require_one_kind(net: list[Pin], scene: Scene) -> None:
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
-def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
+def _require_distinct_pin_names(terminals: Mapping[Pin, Terminal]) -> None:
     """Reject two pins of a part whose names differ only in letter case."""
     spellings: dict[Pin, str] = {}
     for name, pin in terminals:
@@ -275,7 +275,7 @@ def _with_inner_names(scene: Scene) -> Scene:
             names[key] = free.name(key, "_".join(words))
     scene = replace(scene, names=names)
     meters = {}
-    for name, pin in _list_metered(scene):
+    for name, pin in _list_metered_pins(scene):
         preferred = f"v{name}_{pin}_{METER_SUFFIX}".lower()
         meters[name, pin] = free.name((METER_SUFFIX, name, pin), preferred)
     return replace(scene, meters=meters)
@@ -309,7 +309,7 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     return {pin: domain for pin, domain in pins.items() if domain is powered}
 
 
-def _list_metered(scene: Scene) -> Iterator[Pin]:
+def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
     """Yield the pins of subcircuits at which a probe needs an ammeter.
 
     A probe of ``PART.power`` needs ammeters at all powered pins. A probe of ``PART.PIN.current``,
@@ -351,7 +351,7 @@ def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
     return find_current_into(body, pin, replace(build, records=records)) is not None
 
 
-def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:
+def _require_joined_pins(scene: Scene, alone: Collection[Pin]) -> None:
     """Reject a scene with a required pin that is not joined."""
     for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
@@ -398,7 +398,7 @@ def _make_unjoined_error(
     )
 
 
-def _require_one_output(scene: Scene) -> None:
+def _require_one_output_per_net(scene: Scene) -> None:
     """Reject a net with two signal outputs, and a signal output on ground."""
     drivers = {"0": "ground"}
     for (name, pin), terminal in scene.terminals.items():
@@ -413,7 +413,7 @@ def _require_one_output(scene: Scene) -> None:
             drivers[net] = f"{name}.{pin}"
 
 
-def _require_distinct_ends(scene: Scene) -> None:
+def _require_pins_on_distinct_nets(scene: Scene) -> None:
     """Reject a part whose two pins are on one net, because the part would have no effect."""
     for part in scene.parts.values():
         pins = scene.pins(part.name)
@@ -431,7 +431,7 @@ def _require_distinct_ends(scene: Scene) -> None:
             )
 
 
-def _require_no_source_loop(scene: Scene) -> None:
+def _reject_source_loops(scene: Scene) -> None:
     """Reject loops of ideal sources, because their currents have no unique value."""
     union = DisjointGroups(["0", *scene.nets.values()])
     for part in scene.parts.values():

@@ -136,7 +136,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
         if net in moving:
             frame = known.get(net)
             frames_of_pins.add(frame and frame.node_shares)
-            frames.append(f"{part.name}.{pin} in {_name_frame(frame)}")
+            frames.append(f"{part.name}.{pin} in {_describe_frame(frame)}")
     if len(frames_of_pins) > 1:
         raise UsageError(
             "this part compares displacements in different frames of reference",
@@ -147,7 +147,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
         )
 
 
-def _name_frame(frame: ShakenFrame | None) -> str:
+def _describe_frame(frame: ShakenFrame | None) -> str:
     """Describe a frame in words; None is the frame of the ground."""
     return (
         "the frame of the ground" if frame is None else f"the frame that {frame.description} shakes"
@@ -165,7 +165,9 @@ def _require_inertial_force(
         if frame is None or not frame.shakes:
             continue
         if part.netlist:
-            advice = f"in {_name_frame(frame)}, the netlist must apply -m a to each of its masses"
+            advice = (
+                f"in {_describe_frame(frame)}, the netlist must apply -m a to each of its masses"
+            )
             warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
         elif pin not in part.type.inertial(part, scene):
             continue
@@ -177,7 +179,7 @@ def _require_inertial_force(
                 "this part has inertia, but no port for the acceleration of the frame it is "
                 "attached to",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_name_frame(frame)}",
+                got=f"joined to {_describe_frame(frame)}",
                 expected="a body with a port of kind base"
                 if body
                 else "a part type that accepts the acceleration of its frame",
@@ -188,7 +190,7 @@ def _require_inertial_force(
                 "this part is attached to a frame whose acceleration has no known direction at "
                 "this net",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_name_frame(frame)}",
+                got=f"joined to {_describe_frame(frame)}",
                 expected="ports and accelerations whose directions the body states",
                 hint=f"state axis or dof of the ports of {frame.body}, or add the mass to its "
                 "matrices",

@@ -34,17 +34,24 @@ class Key:
     mixed: bool = False
 
 
-def _list_kinds(annotation: Any) -> Iterator[Any]:
+def _list_annotation_types(annotation: Any) -> Iterator[Any]:
     """Yield the types and the literal choices in an annotation."""
     arguments = get_args(annotation)
-    return chain.from_iterable(map(_list_kinds, arguments)) if arguments else iter((annotation,))
+    return (
+        chain.from_iterable(map(_list_annotation_types, arguments))
+        if arguments
+        else iter((annotation,))
+    )
 
 
 def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield all keys of a schema in order, with dotted names for the keys of subtables."""
     for path, field in list_keys(model):
         default = _find_default(field)
-        doc, kinds = field.description or "", dict.fromkeys(_list_kinds(field.annotation))
+        doc, kinds = (
+            field.description or "",
+            dict.fromkeys(_list_annotation_types(field.annotation)),
+        )
         words = tuple(kind for kind in kinds if isinstance(kind, str))
         choices = words if kinds.keys() <= {*words, NoneType} else ()
         integer = int in kinds or int in map(type, kinds)

@@ -104,7 +104,9 @@ def load_scene(
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
 
-    for name, value, place in list(read_overrides(overrides, partial(_write_override, tables))):
+    for name, value, place in list(
+        read_overrides(overrides, partial(_write_override_example, tables))
+    ):
         source.overrides[set_key(data, name, value, place)] = place
     _require_known_parts(data, tables, source)
     try:
@@ -123,7 +125,7 @@ def load_scene(
         raise
 
 
-def _write_override(tables: Mapping[str, Any], key: str) -> str:
+def _write_override_example(tables: Mapping[str, Any], key: str) -> str:
     """Return an example of an override of ``key``, with the value in the scene."""
     part = key.partition(".")[0]
     keys = _list_part_keys(part, tables[part]) if part in tables else []

@@ -118,7 +118,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
-        for name, peak in _peak_voltages(body, scene):
+        for name, peak in _list_peak_voltages(body, scene):
             state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
             # the same number in V in place of mV, or in mV in place of V, if the rating permits it
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
@@ -139,7 +139,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
                 warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
 
 
-def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
+def _list_peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
     """Yield the name and the peak voltage [V] of each source that drives a body.
 
     Only ideal sources between ground and an electrode of ``body`` count.

@@ -91,7 +91,7 @@ def _make_unknown_result_error(
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
     if owner in parts:
-        choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
+        choices = _select_names_with_prefix(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
         return unknown("the scene has no such result", name, choices, where, advice=suggestion)
     return _make_unknown_part_error(name, parts, where)
@@ -107,14 +107,14 @@ def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> Usa
     return error
 
 
-def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:
+def _select_names_with_prefix(names: Iterable[str], prefix: str) -> list[str]:
     return [name for name in names if name.startswith(prefix)]
 
 
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
     """Suggest a result with a similar name, such as ``r2.v`` for ``r2.voltage``."""
     near = list(filter(name.startswith, choices))
-    near = near or _select_prefixed(choices, f"{name}.")[:1]
+    near = near or _select_names_with_prefix(choices, f"{name}.")[:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
@@ -128,11 +128,11 @@ def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
     results = collect_results(with_vectors(replace(build, scene=scene), waiting))
     result = dict.fromkeys(results.vectors)
     for part in scene.parts.values():
-        result |= dict.fromkeys(_list_metered(part, scene, result))
+        result |= dict.fromkeys(_list_metered_results(part, scene, result))
     return list(result)
 
 
-def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
+def _list_metered_results(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
     """Yield flows and powers of a part that probes may read in addition to ``known`` results."""
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
     separate = scene.has_subcircuit(part)

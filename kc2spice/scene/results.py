@@ -76,14 +76,14 @@ def _collect_vectors(build: Build) -> dict[str, Vector]:
     their value at the operating point in place of a response.
     """
     result = build.vectors
-    for name, metered in _collect_metered(build, result).items():
+    for name, metered in _collect_metered_results(build, result).items():
         result.setdefault(name, metered)
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
     return result
 
 
-def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
+def _collect_metered_results(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
     """Return the results at pins with an ammeter, in SI units.
 
     ``PART.PIN.current`` is the current into the part at the pin, and ``PART.PIN.v`` the voltage of
@@ -101,16 +101,16 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
         if not domain.reference and pin == next(iter(powered_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
     for quantity_name, symbol in FLOW_SYMBOLS.items():
-        for part in _probed_parts(build, quantity_name):
+        for part in _list_probed_parts(build, quantity_name):
             known_as = f"{part.name}.{symbol}"
             if known_as in known:  # second name of the flow of an element, as for bodies
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
-    for part in _probed_parts(build, "power"):
-        result |= _collect_across(part, build)
+    for part in _list_probed_parts(build, "power"):
+        result |= _collect_across_quantity(part, build)
     return result
 
 
-def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
+def _collect_across_quantity(part: Part, build: Build) -> dict[str, Vector]:
     """Return the quantity across the two pins of a part that is not a subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
@@ -132,14 +132,14 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
     positive if the part absorbs it.
     """
     result: dict[str, Powers] = {}
-    for part in _probed_parts(build, "power"):
+    for part in _list_probed_parts(build, "power"):
         if power := _find_part_power(part, build, known):
             result[f"{part.name}.power"] = power
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         domain = metered_pins(part, build.scene)[pin]
         if f"{name}.{pin}.power" in build.scene.probed_results:
-            result[f"{name}.{pin}.power"] = (_pin_power(part, pin, domain, build),)
+            result[f"{name}.{pin}.power"] = (_pin_power_term(part, pin, domain, build),)
     return result
 
 
@@ -149,21 +149,23 @@ def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers
     The terms are the powers at the pins of the part, or products of results of the part.
     """
     pins = powered_pins(part, build.scene)
-    at_pins = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())
+    at_pins = tuple(_pin_power_term(part, pin, domain, build) for pin, domain in pins.items())
     if at_pins and all(term.through in known for term in at_pins):
         power = at_pins
     else:
-        power = tuple(_part_power(part.name, domain) for domain in dict.fromkeys(pins.values()))
+        power = tuple(
+            _part_power_term(part.name, domain) for domain in dict.fromkeys(pins.values())
+        )
     return power if all(term.names <= set(known) for term in power) else ()
 
 
-def _part_power(name: str, domain: Domain) -> PowerTerm:
+def _part_power_term(name: str, domain: Domain) -> PowerTerm:
     """Return the power term for the across and the through quantity of a part."""
     across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
-def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
+def _pin_power_term(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
     """Return the term of the power into a part at a pin."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
@@ -171,7 +173,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
     return PowerTerm(f"{part.name}.{pin}.{across}", f"{part.name}.{pin}.{through}", power)
 
 
-def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
+def _list_probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
     """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
     for result in build.scene.probed_results:
         name, _, read = result.partition(".")

@@ -104,7 +104,7 @@ class Rom(Section):
 
     @field_validator("band")
     @classmethod
-    def _require_band(cls, band: tuple[float, float]) -> tuple[float, float]:
+    def _require_nonempty_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
             hint = 'write the lower frequency first, such as ["0 Hz", "20 kHz"]'
             raise invalid_value_error("the frequency band is empty", "0 <= low < high", hint=hint)

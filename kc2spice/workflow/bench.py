@@ -321,7 +321,8 @@ def bench(
             "left_out": {name: check.get(name) for name in selected if name not in search.names},
             "points": list(map(search.record, points)),  # the fastest first
             "failed": list(search.failed.values()),
-            "recommended": best and {**search.record(best), "set": _set_options(best.settings)},
+            "recommended": best
+            and {**search.record(best), "set": _format_set_options(best.settings)},
             "reference": {
                 "label": _describe_settings(finest),
                 "settings": finest,
@@ -406,7 +407,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     return {name: result[name] for name in names}
 
 
-def _set_options(settings: Mapping[str, Any]) -> list[str]:
+def _format_set_options(settings: Mapping[str, Any]) -> list[str]:
     """Return the command-line options that change these settings."""
     options = []
     for key, value in settings.items():

@@ -102,7 +102,7 @@ def make_deck(build: Build) -> Deck:
         measures=list_measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
-        initial_voltages=_initial_values(build, loose),
+        initial_voltages=_initial_voltages(build, loose),
         may_have_loop=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         free_nets=frozenset(_list_free_nets(scene)),
@@ -229,7 +229,7 @@ def _step_comment_lines(build: Build) -> Iterator[str]:
         yield f"* {format_comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
-def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
+def _initial_voltages(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial node voltages [V] of a transient, keyed by node.
 
     A net that only dampers connect to other nets begins at 0.

@@ -89,7 +89,7 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
             for end in ends:
                 warnings.warn(end, stacklevel=3)
             return run
-        better = _run_again(run, scene, chosen, work, clock)
+        better = _rerun_with_orders(run, scene, chosen, work, clock)
         if better is None:
             return run
         run = better
@@ -116,7 +116,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
     return orders if max(orders.values(), default=0) <= MAX_VECTORS else {}
 
 
-def _run_again(
+def _rerun_with_orders(
     run: Run, scene: Scene, chosen: Sequence[LargerOrder], work: Path, clock: Clock
 ) -> Run | None:
     """Run the scene with ``chosen`` orders; None if the run fails or its error is not smaller."""

@@ -431,9 +431,11 @@ def _fit_passive_model(
     A note is appended to ``notes`` if the model does not consist of parallel branches.
     """
     if data.Y.shape[1] > 1:
-        return _fit_poles(data)
+        return _fit_state_space_model(data)
     branches, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
-    if branches is not None and (conductance is not None or not _has_other_form(branches, data)):
+    if branches is not None and (
+        conductance is not None or not _deviates_beyond_noise(branches, data)
+    ):
         return branches
     if conductance is not None:
         raise UsageError(
@@ -446,7 +448,7 @@ def _fit_passive_model(
     note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
     progress("reduce", None, f"fitting poles of any kind to {len(data.f)} frequencies")
     try:
-        general = _fit_poles(data)
+        general = _fit_state_space_model(data)
     except MissingToolError:
         if branches is None:
             raise
@@ -457,7 +459,7 @@ def _fit_passive_model(
     return general
 
 
-def _fit_poles(data: MeasuredAdmittance) -> LinearModel:
+def _fit_state_space_model(data: MeasuredAdmittance) -> LinearModel:
     """Return a passive state-space model of measured samples with arbitrary poles."""
     from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
 
@@ -492,7 +494,7 @@ def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
     return float(np.abs(2j * np.pi * data.f * charge / data.Y[:, 0, 0] - 1).max())
 
 
-def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
+def _deviates_beyond_noise(model: LinearModel, data: MeasuredAdmittance) -> bool:
     """Return whether the deviation of a model from the data is larger than noise explains.
 
     An example is a loudspeaker, whose parallel resonance is in series with a coil.

@@ -394,7 +394,10 @@ def run_sweep(
     True
     """
     start = begin = time.monotonic()
-    with closing(_open_rows(definition, out, table_format)) as rows, rows.removing_empty_file():
+    with (
+        closing(_open_row_store(definition, out, table_format)) as rows,
+        rows.removing_empty_file(),
+    ):
         done = set()
         for index, outcome in rows.outcomes.items():
             if not outcome.interrupted and (outcome.failure is None or not retry_failed):
@@ -432,7 +435,7 @@ def table_file_name(table_format: str) -> str:
     return f"sweep.{table_format}"
 
 
-def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
+def _open_row_store(definition: Sweep, out: Path, table_format: str) -> RowStore:
     name = table_file_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError(

@@ -232,12 +232,12 @@ def metric_errors(
             continue
         if x.shape != y.shape or x.size == 0:
             continue
-        largest = _largest_of_unit(exact.units.get(name, ""), exact.waves, units)
+        largest = _largest_value_with_unit(exact.units.get(name, ""), exact.waves, units)
         base = max(float(np.abs(y).max()), MIN_METRIC_SHARE * largest)
         yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
-def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+def _largest_value_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
     """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
 
     Without a unit, the result is 0, because no wave is comparable with a number such as a coupling

@@ -200,7 +200,7 @@ class _Verification:
             if part.reduced:
                 folder = self.work / part.name
                 verify_body(part, build, libraries, self.clock, folder, self.thorough, result)
-            most = _max_unknowns() if self.thorough else MAX_FINER_UNKNOWNS
+            most = _max_mesh_unknowns() if self.thorough else MAX_FINER_UNKNOWNS
             for row in part.type.finer_mesh(part, build, self.clock, most):
                 if isinstance(row, Check):
                     result.checks.append(row)
@@ -266,8 +266,8 @@ class _Verification:
         result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._compare_pairs("scene", solutions)
-        result.checks += self._general_checks(solutions, outputs)
-        result.notes += self._uncompared_probes(solutions)
+        result.checks += self._list_general_checks(solutions, outputs)
+        result.notes += self._list_uncompared_probes(solutions)
         if self.timed:
             self._compare_with_finer_laws(waves, solutions, TIME_FACTOR * spent + EXTRA_SECONDS)
         self._add_run_checks()
@@ -283,7 +283,7 @@ class _Verification:
         if not followed:
             return
         early = {
-            key: complete_solution(_cut_waves(item.waves, followed.end), build)
+            key: complete_solution(_truncate_waves(item.waves, followed.end), build)
             for key, item in solutions.items()
         }
         exact = complete_solution(followed.waves, build)
@@ -367,7 +367,7 @@ class _Verification:
         self.outcome.figures += plot_comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
-    def _general_limits(self) -> tuple[float, float]:
+    def _general_error_limits(self) -> tuple[float, float]:
         """Return the largest accepted relative errors of metrics and waves of ngspice."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.timed:
@@ -382,11 +382,11 @@ class _Verification:
         slack = REPLAY_LIMIT_FACTOR if self.replayed else 1.0
         return slack * (gates.metrics or metric), gates.waves or wave
 
-    def _general_checks(
+    def _list_general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
     ) -> Iterator[Check]:
         """Yield checks of the metric and of the wave of ngspice with the largest errors."""
-        metric, wave = self._general_limits()
+        metric, wave = self._general_error_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
         for name, error in metric_errors(solutions["ngspice"], solutions["rom"], self.units):
@@ -399,12 +399,12 @@ class _Verification:
         if known:
             worst = max(known, key=known.__getitem__)
             yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
-        followed = filterfalse(self._rings_coarsely, outputs)
+        followed = filterfalse(self._may_ring_coarsely, outputs)
         last = max(followed, key=attrgetter("rms"), default=None)
         if last is not None:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
-    def _rings_coarsely(self, output: OutputError) -> bool:
+    def _may_ring_coarsely(self, output: OutputError) -> bool:
         """Return whether large time steps may distort a wave after a launch.
 
         ``solver.ringing = "coarse"`` permits this for the waves of a body and of its drive.
@@ -414,7 +414,7 @@ class _Verification:
             return False
         return any(owner == p.name or owner.startswith(f"{p.name}_") for p in scene.bodies)
 
-    def _uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
+    def _list_uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
         """Yield a note on the probes whose results the laws do not contain."""
         simulated, exact = solutions["ngspice"].metrics, solutions["rom"].metrics
         missing = []
@@ -472,7 +472,7 @@ class _Verification:
                 result.metrics["unknowns"] = model.facts["unknowns"]
 
 
-def _max_unknowns() -> float:
+def _max_mesh_unknowns() -> float:
     """Return the largest number of unknowns of a three-dimensional mesh.
 
     Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
@@ -509,7 +509,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
     return report_in_time
 
 
-def _cut_waves(waves: Waveforms, end: float | None) -> Waveforms:
+def _truncate_waves(waves: Waveforms, end: float | None) -> Waveforms:
     """Return the waves up to the time ``end`` [s]; all of them if ``end`` is None."""
     if end is None:
         return waves
