@@ -201,7 +201,7 @@ class AcousticPart(PartType[FluidKeysT]):
         return result
 
     def law(self, part: Part[FluidKeysT], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
         for item in network.elements:

@@ -121,7 +121,7 @@ stop = "2 kHz"
         return part.keys.volume
 
     def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         least = SPHERE_SURFACE * keys.volume ** (2 / 3)

@@ -178,7 +178,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return tuple(result)
 
     def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys, fluid = part.keys, part.keys.fluid
         high = acoustic_band(scene).high
@@ -420,7 +420,7 @@ stop = "3 kHz"
 """
 
     def problems(self, part: Part[DuctKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys = part.with_schema(TubeKeys).keys
         if keys.closed and FAR_END in part.pins:

@@ -141,7 +141,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return dict(zip(_input_names(len(sources)), targets, strict=True))
 
     def problems(self, part: Part[ListenerKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         known = [item.name for item in scene.list_parts(RADIATION)]
         for k, name in enumerate(part.keys.sources):
             if name not in known:
@@ -318,7 +318,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
     def figures(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._levels(part, build, waves)

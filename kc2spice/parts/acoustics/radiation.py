@@ -138,7 +138,7 @@ stop = "20 kHz"
         return (*super().pins(part, scene), Terminal(SOUND, unit, SIGNAL, signal_out=True))
 
     def problems(self, part: Part[RadiationKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         if not scene.analysis.is_small_signal:
             return
@@ -222,7 +222,7 @@ stop = "20 kHz"
         return {name: delay_wave(x, waves[name], [(1.0, -low_pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         equations = super().law(part, build)
         sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})

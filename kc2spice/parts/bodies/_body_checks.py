@@ -35,15 +35,16 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
-# ratio of the recommended number of states to the number of states of a model that is too coarse
+# A model that is too coarse is recommended to have this many times its number of states.
 STATE_FACTOR = 2
-# Error estimates above which a run fails, or prints a warning.
+# Relative error estimates of a reduced model above which a run fails, or prints a warning.
 FAILURE_ERROR = 0.1
 WARNING_ERROR = 0.01
-# Largest error of a port's compliance above the band. If a body in contact has a larger error, it
-# is checked under the loads of the run. The built-in kicks have compliance errors of at most 0.20,
-# and errors under load below 0.3 % (rms). Chips of 7 to 12 states have compliance errors of at
-# least 0.53, and errors under load of 2 to 3 %.
+# Largest relative error of a port's compliance above the band. If the reduced model of a body in
+# contact exceeds it, the model is checked under the loads of the run. The built-in kick scenes,
+# such as ``kick_slew``, have compliance errors of at most 0.20, and errors under load below 0.3 %
+# (rms). Models of small chips with 7 to 12 states have compliance errors of at least 0.53, and
+# errors under load of 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = (
     "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
@@ -67,17 +68,17 @@ STEEP_EDGE_ADVICE = (
     "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
-# smallest ratio of the end of the band to the lowest resonance; with a smaller ratio, a kick had an
-# error of 2 %
+# Smallest ratio of the upper end of the band to the lowest resonance frequency. With a smaller
+# ratio, the results of a kick scene had an error of 2 %.
 MIN_BAND_RATIO = 1.5
 # time points closer than this fraction of the duration of a run count as equal
 EQUAL_TIME_TOLERANCE = 1e-9
-# share of a floating electrode's charge that the leak of the netlist may remove
+# largest fraction of a floating electrode's charge that the leak of the netlist may remove
 MAX_CHARGE_LOSS = 1e-4
-# limit of the energy error, relative to the stored energy; after a pulse a chip rings at up to 30
-# MHz
+# Limit of the error of the energy balance, relative to the stored energy. It is wide, because a
+# small piezoelectric chip rings at up to 30 MHz after a pulse.
 MAX_STORED_SHARE = 0.1
-# A load below this fraction of the largest force or energy counts as zero. The fraction is far
+# A force or energy below this fraction of its largest value counts as zero. The fraction is far
 # above rounding errors.
 ZERO_LOAD = 1e-9
 
@@ -90,9 +91,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check | Balance]:
         """Yield the checks of a reduced body after a run.
 
-        The checks are the error of the reduced model, the stability of the full model, the band and
-        the rating. After a transient, the energy balance, the band of the excitation and the charge
-        of floating electrodes follow.
+        The checks cover the error of the reduced model, the stability of the full model, the
+        frequency band and the voltage rating. After a transient, they also cover the energy
+        balance, the frequencies of the excitation and the charge of floating electrodes.
         """
         model = build.model(part, LinearModel)
         result = model.certificate
@@ -124,8 +125,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Check whether the voltage at each electrode stays within its rating.
 
-        In an ac analysis, the amplitude for the source voltages of the scene is compared with the
-        rating.
+        In an ac analysis, the rating is compared with the voltage amplitude at the electrode. This
+        amplitude holds for the source voltages of the scene.
         """
         volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
         if volts is None:
@@ -137,8 +138,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"rating of {name}", largest, volts, "V", DEPOLING_ADVICE, "warn")
 
     def _check_leak(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
-        """Return the check of the charge that a floating electrode loses through the netlist's
-        leak.
+        """Yield the check of the charge that leaks from a floating electrode.
+
+        In the netlist, the charge of a floating electrode decays at the rate :data:`LEAK_RATE`.
         """
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
         ports = names_of(paired_ports(build.model(part, LinearModel).ports))
@@ -152,14 +154,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield the check of the reduced model's error.
 
-        The check limits the error at the worst frequency of the band. If this error is too large,
-        or if a contact excites modes above the band, a transient checks the error under the
-        recorded loads instead.
+        The check limits the error at the worst frequency of the band. After a transient, the error
+        under the recorded loads is checked instead in two cases: the error in the band is too
+        large, or a contact excites modes above the band.
 
-        A large pointwise error at a sharp resonance may have no effect under the recorded loads,
-        and a small error does not apply to loads above the band. For the error under load, the
-        recorded forces and voltages drive the reduced model and a model with more states. The error
-        is the difference between their responses.
+        A large error at the frequency of a sharp resonance may have no effect under the recorded
+        loads. A small error in the band does not hold for loads with frequencies above the band. To
+        compute the error under load, the recorded forces and voltages drive the reduced model and a
+        model with more states. The error is the difference between the responses of the two models.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
@@ -186,10 +188,11 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def error_under_load(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
-        """Return the largest error of the reduced ``model`` while the loads of a run change.
+        """Return the largest error of the reduced ``model`` under the recorded loads of a run.
 
-        The second result is the number of states of the reference model. The result is None if a
-        load was not recorded, or if there is no model with more states.
+        The error is computed up to the last change of the loads. The second returned value is the
+        number of states of the reference model. The function returns None if a load was not
+        recorded, or if there is no model with more states.
         """
         loads, certificate = self.loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -228,11 +231,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_band(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
-        """Yield checks whether the band contains the frequencies of the drives.
+        """Yield checks whether the band of the model contains the frequencies of the drives.
 
-        The frequency of a drive v is ``max |v'| / (pi (max v - min v))``. This is the frequency of
-        a sine, or about a third of the reciprocal of an edge time. A contact excites the first
-        resonance more than any drive.
+        The frequency of a drive voltage v is ``max |v'| / (pi (max v - min v))``. For a sine, this
+        is its frequency; for an edge, it is about a third of the reciprocal of the edge time. With
+        a contact, only the first resonance is compared with the band, because a contact excites it
+        more than any drive.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
@@ -258,10 +262,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def loads(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the load of each port of the reduced model over time, in SI.
+        """Return the load of each port of the reduced model versus time, in SI units.
 
-        A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
-        whose force is not recorded are left out.
+        A load is a voltage, an acceleration, or the sum of the forces of all parts joined to the
+        port. Ports with a force that is not recorded are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
         names = [wave_name(part.name, ports, port) for port in ports]
@@ -279,12 +283,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Balance | None:
-        """Compare the work of all loads on the body with its exact response to them.
+        """Return the energy balance of the body: work in the run, compared with the exact response.
 
-        The losses are the work on the exact response minus its stored energy. The electrical work
-        needs the current of the body among the waveforms. The scale is the largest change of the
-        stored energy, or its rounding error without motion. If the time steps do not resolve the
-        ringing, the check ends when the last force on the body ends.
+        The exact response is the response of the reduced model to the recorded loads. The losses
+        are the work of the loads on the exact response minus its stored energy. The electrical
+        work is computed from the current of the body, if this current is among the waveforms. The
+        scale of the balance is the largest change of the stored energy, or the rounding error of
+        this energy without motion. If the time steps do not resolve the ringing, the comparison
+        ends when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
@@ -330,6 +336,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """Return the check of a reduced model's error; it warns above 1 %, and fails above 10 %."""
+    """Return the check of a reduced model's error: a warning above 1 %, a failure above 10 %."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

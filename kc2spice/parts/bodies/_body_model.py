@@ -1,4 +1,4 @@
-"""Full and reduced models of a linear part, and the data that determine them."""
+"""Full and reduced models of a linear part, and the cache keys of these models."""
 
 from __future__ import annotations
 
@@ -44,10 +44,11 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import ReductionsByOrder
 
-# tolerance over parameter ranges for bodies that are otherwise reduced to a fixed order
+# Relative tolerance of a reduction over parameter ranges, for bodies that are reduced to a fixed
+# order without such ranges.
 RANGE_TOLERANCE = 1e-4
-# Hz, smallest upper end of the band of a transient, because switching in a circuit contains unknown
-# frequencies
+# Smallest upper end [Hz] of the model's band in a transient; switching in a circuit excites unknown
+# frequencies.
 MIN_BAND_END = 10e3
 # number of natural frequencies in the default band; higher natural frequencies depend on the mesh
 BAND_MODES = 20
@@ -67,11 +68,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
     """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
     A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
-    state the order or tolerance, and the band, of the reduction.
+    state the band of the reduction, and its order or tolerance.
     """
 
-    # Classes of the objects in a reduced model over parameter ranges; the cache stores these
-    # objects.
+    # Classes of the objects that a reduced model over parameter ranges contains. The cache needs
+    # them to store such a model.
     range_classes: tuple[type, ...] = (ResonatorsOverRanges, DampingParameter)
     ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
     # Class of the material tables in the keys of the part.
@@ -84,22 +85,22 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def full_on_mesh(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """Return the full model on the mesh of ``like``, a part with other values.
+        """Return the full model on the mesh of ``like``, a part with other values of its keys.
 
-        The nodes of the mesh are moved to the geometry of ``part``.
+        The nodes of this mesh are moved to the geometry of ``part``.
         """
         return self.full(part, scene, clock)
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
-        """Return the data that determine the full model, as a key of the cache."""
+        """Return the cache key of the full model: all data that determine this model."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from check_corners(part, scene)
 
     def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
-        """Return the reduction that the body or the scene states; None without such keys.
+        """Return the reduction settings of the body or the scene; None if neither states any.
 
         A table ``rom`` that states only parameters of the netlist does not count as a reduction.
         """
@@ -109,13 +110,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom:
-        """Return the reduction settings, by default a tolerance over the band of the analysis.
+        """Return the reduction settings; the default is a tolerance in the band of the analysis.
 
         In ``ac``, the band ends 20 % above the last frequency. In a transient, the band contains
         the excited frequencies (:meth:`PartType.numerics`), but at most the first
-        :data:`BAND_MODES` natural frequencies of the body. The tolerance of 1e-3 is a tenth of
-        usual mesh errors, and exceeds the rounding errors of a free thin plate, which are about
-        1e-4 at its resonances.
+        :data:`BAND_MODES` natural frequencies of the body. The tolerance of 1e-3 in ``ac`` is a
+        tenth of usual mesh errors. It exceeds the rounding errors of a free thin plate, about 1e-4
+        at its resonances.
         """
         specified, result = part.keys.rom, self._stated_reduction(part, scene)
         if result is None and scene.analysis.is_small_signal:
@@ -129,10 +130,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result.model_copy(update={"parameters": specified.parameters})
 
     def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Return the smallest upper end [Hz] of the band of a transient.
+        """Return the smallest upper end [Hz] of the model's band in a transient.
 
-        The result is None if the user set the band. The natural frequencies of the body do not
-        change the result.
+        Return None if the user set the band, or in other analyses. This frequency does not depend
+        on the natural frequencies of the body.
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
@@ -140,11 +141,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.default_band_end(scene), *content])
 
     def default_band_end(self, scene: Scene) -> float:
-        """Return the smallest upper end [Hz] of the band of a transient for any excitation."""
+        """Return the smallest upper end [Hz] of a transient's band that any excitation requires."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
-        """Return the data that determine the reduced model, as a key of the cache."""
+        """Return the cache key of the reduced model: all data that determine this model."""
         rom = reduction_target(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -228,7 +229,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 return self.reduce_ranges(part, task)
 
         def load() -> ModelOverRanges:
-            """Build the reduced model over the ranges, or read it from the cache."""
+            """Read the reduced model over the parameter ranges from the cache, or build it."""
             classes = (*self.range_classes, ParameterAxis, Certificate, Port)
             return load_or_build("box", key, build, classes=classes, sources=self.source_modules())
 
@@ -241,11 +242,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return reduce_over_ranges(task)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
-        """Return whether the body has losses that the matrices of a full model cannot represent."""
+        """Return whether constant matrices cannot represent the losses of the body."""
         return bool(loss_tangent(part)) or has_complex_constants(part)
 
     def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
-        """Return the full model with the ports of the scene, on the mesh of the middle values."""
+        """Return the full model with the scene's ports, on the mesh for mid-range key values."""
         keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
@@ -255,19 +256,19 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Return the model of the part."""
+        """Return the reduced model of the part, or its full model with ``full``."""
         if full:
-            # The matrices of a full model cannot represent some losses.
+            # The matrices of a full model cannot represent losses that are constant over frequency.
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := list_varied_keys(part):
             return self.build_over_ranges(part, scene, clock).at(read_key_values(keys))
-        # ``build`` uses these values, so they are part of the cache key. Of the code of ``build``,
-        # the key contains only hashes of modules.
+        # ``build`` uses these variables, so their values are part of the cache key. The key also
+        # contains hashes of the modules with the code of ``build``.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
-            """Return the model of the part."""
+            """Return the reduced model of the part with its losses."""
             from kc2spice.rom.complex_constants import make_complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
@@ -317,7 +318,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Limit a band to the first natural frequencies of the full model."""
+        """Return a band that ends at one of the first natural frequencies of the full model."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -332,20 +333,21 @@ class BodyModel(BodyPorts[LinearKeysT]):
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce a ``model`` of the part; ``aims`` are order, tolerance, band and norm."""
+        """Reduce a ``model`` of the part; ``aims`` contains order, tolerance, band and norm."""
         from kc2spice.rom.reduce import reduce_model
 
         if aims["order"] is not None and model is orders.model:
             return orders.reduce(aims["order"], aims["band"], aims["norm"])
-        # a contact, a switch or a table excites modes above the band
+        # A contact, a switch or a tabulated drive excites modes above the band.
         return reduce_model(model, **aims, contact=True)
 
     def fixed_order_reductions(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock
     ) -> ReductionsByOrder:
-        """Return an object that reduces the full model with the scene's ports to prescribed orders.
+        """Return the reductions of the full model with the ports of the scene, keyed by order.
 
-        The object stays in the workspace, because the next scene often needs another order.
+        The returned object reduces the model on request. It stays in the workspace, because the
+        next scene often needs another order of the same model.
         """
         from kc2spice.rom.enriched import ReductionsByOrder
 
@@ -361,35 +363,36 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 
     def source_modules(self) -> tuple[str, ...]:
-        """Return the modules whose text determines the models of this type, for the cache key."""
+        """Return the modules with source code that determines the models of this part type."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*MODEL_SOURCES, *classes)
 
 
 def loss_tangent(part: Part) -> float:
-    """Return the loss tangent of the dielectric from the damping of a body; 0 by default."""
+    """Return the dielectric loss tangent from the key ``damping`` of a body; 0 by default."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
 def has_complex_constants(part: Part) -> bool:
-    """Return whether the losses of a body are complex constants of IEEE 176."""
+    """Return whether complex material constants of IEEE 176 represent the losses of a body."""
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
 def find_damping(part: Part) -> Damping:
-    """Return the damping from the keys of a body."""
+    """Return the damping settings from the key ``damping`` of a body."""
     damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
     return damping
 
 
 def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
-    """Return the complex constants that represent the damping of a body.
+    """Return the complex material constants that represent the damping of a body.
 
-    The constants hold at the frequency in the keys, or at a resonance of the ``model``.
+    The constants hold at the frequency in the key ``damping.at``. Without this key, they hold at
+    the first resonance of the ``model``.
 
     Raises
     ------
-    UsageError : no resonance determines the frequency.
+    UsageError : the key is missing, and the model has no resonance.
     """
     damping, facts = find_damping(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
@@ -408,23 +411,24 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
 def _replace_by_least_damping(
     part: Part, model: LinearModel, band: tuple[float, float]
 ) -> LinearModel:
-    """Return ``model`` with viscous damping that nowhere in the band exceeds the complex constants.
+    """Return ``model`` with viscous losses that nowhere in the band exceed its constant losses.
 
-    With complex constants, the error of a reduction is then not larger.
+    The constant losses are those of the complex material constants. With these larger losses, a
+    reduction has at most the error that it has with the viscous losses.
     """
     loss = make_complex_constants(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """Build the full model of a body in its scene; None if matrices cannot represent the losses."""
+    """Return the full model of a body in its scene; None if it cannot represent the losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
 
 
 def full_model_without_scene(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
-    """Build the full model of a body outside its scene, with a warning of neglected losses."""
+    """Return the full model of a body outside its scene, and warn about neglected losses."""
     if tangent := loss_tangent(part):
         warnings.warn(
             f"{part.name}.damping.loss_tangent: {tangent:g}: matrices cannot contain a constant "
@@ -453,7 +457,7 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
 
 
 def describe_target(rom: Rom) -> str:
-    """Describe the target of a reduction: order or tolerance, and band."""
+    """Return the target of a reduction in words: order or tolerance, and band."""
     low, high = rom.band
     target = f"order {rom.order}"
     if rom.order is None:
@@ -462,14 +466,14 @@ def describe_target(rom: Rom) -> str:
 
 
 def reduction_target(part: Part, scene: Scene) -> Rom:
-    """Return the settings of a body's reduction from its record in the scene."""
+    """Return the reduction settings of a body from its record in the scene."""
     result = scene.records[part.name].reduction
     assert result is not None
     return result
 
 
 def hash_file(path: Path) -> str:
-    """Return a hash of the content of a file, which is the same for copies of the file."""
+    """Return a hash of a file's content, so copies of the file have the same hash."""
     try:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):
@@ -481,6 +485,6 @@ def hash_file(path: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _hash_content(path: Path, size: int, changed: int) -> str:
-    """Return the hash of a file; its size and its time of change are keys of the cache."""
+    """Return the hash of a file's content, cached by path, file size and time of last change."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Subcircuit, results and law of a linear part."""
+"""Subcircuit, result vectors and model equations of a linear part."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ from kc2spice.synthesis.realize import UNRATED, subcircuit
 RATING_TEXT = (
     "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"
 )
-# largest number of letters of scene name and part name in the name of a library
+# largest number of characters of a library name, which consists of scene name and part name
 _MAX_NAME_LENGTH = 47
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
-    """A linear part with its subcircuit, the results of its ports, and its law."""
+    """Linear part with its subcircuit, the ngspice vectors of its ports, and its equations."""
 
     noise = ("Rnoise",)
 
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the modes in time step control.
+        """Return the weights of the body's modes in the time step control.
 
-        The weights are ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body
-        without load.
+        The weights are ``COARSE_WEIGHTS`` if the time steps need not resolve the free ringing of
+        the body.
         """
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the part number, or :meth:`scene_library` without one."""
+        """Return the part number; without a number, return the name from :meth:`scene_library`."""
         scene_name = self.scene_library(part, scene)
         if not part.keys.number:
             return scene_name
@@ -56,7 +56,10 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return f"heated_{number}" if self.gives_off_heat(part, scene) else number
 
     def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the names of scene and part: one folder may contain libraries of many scenes."""
+        """Return the library name, made of scene name and part name.
+
+        This name is unique in a folder with the libraries of several scenes.
+        """
         name = f"{scene.name[: _MAX_NAME_LENGTH - len(part.name)]}_{part.name}"
         return make_identifier(name, part.name)
 
@@ -114,7 +117,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return result
 
     def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the part."""
+        """Return the model equations of the part, or the reason why they are not available."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference(part, build.scene).name

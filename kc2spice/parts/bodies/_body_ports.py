@@ -1,4 +1,4 @@
-"""Ports of a linear part: used ports, pins, equilibrium, and names of results."""
+"""Ports of a linear part: used ports, pins, paths in equilibrium, and result names."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.synthesis.terminals import reference_pin
 
-# Domain of each kind of port that has one pin and the common reference pin.
+# Physical domain by kind of port, for ports with one pin of their own and a shared reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-# Symbols of through quantities whose integral is the output of a port, keyed by kind of port.
+# Symbol of the through quantity by kind of port, if the output of the port is the integral of this
+# quantity.
 FLOW_SYMBOLS_OF_PORTS = {
     row.port: row.through_variable.symbol
     for row in SINGLE_PIN_KINDS.values()
@@ -48,10 +49,10 @@ ZERO_ENERGY = 1e-13  # rounding error of an energy, as a fraction of the energy 
 class BodyPorts(TouchablePart[LinearKeysT]):
     """A part with typed ports; a scene uses the ports that other parts or probes name.
 
-    The :meth:`ports` of a subclass follow from its keys.
+    A subclass derives its :meth:`ports` from the keys of the part.
     """
 
-    #: Origin of the model, as text for the header of its library and for ``explain``.
+    #: Origin of the model, printed in the header of its library and by ``explain``.
     source = "FE, linear"
 
     @abstractmethod
@@ -59,15 +60,15 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return all ports of the body."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """Return the first line of the library of a body, with its assumptions."""
+        """Return the first line of a body's library, which names the assumptions of the model."""
         return self.title
 
     def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:
-        """Return the largest voltage [V] between electrodes for the material; None if unknown."""
+        """Return the voltage rating [V] that follows from the material; None if unknown."""
         return None
 
     def rated_voltage(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
-        """Return the largest voltage [V] between electrodes, from keys, layers or mesh."""
+        """Return the voltage rating [V] of the electrodes, from keys, layers or mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
         known = part.keys.rated_voltage or self.rated_by_material(part)
         return known or mesh.get("depoling_voltage_v")
@@ -75,9 +76,9 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
         """Return the ports that the scene needs.
 
-        These ports are electrical ports, and other ports that a part or probe names. If the body is
-        the only part, all ports are returned, because the scene only exports the body. In an
-        export, all declared ports are returned.
+        The scene needs the electrical ports, and other ports that a part or probe names. If the
+        body is the only part, all ports are returned, because such a scene only exports the body.
+        An export of a scene returns all ports that the body declares.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
@@ -97,7 +98,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return names_of(self.used_ports(part, scene))
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         ports, rated = self.used_ports(part, scene), self.rated_voltage(part)
         result: list[Terminal] = []
         shared: set[str] = set()
@@ -122,9 +123,9 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
 
     def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
-        """Return whether the scene joins the heat pin, out of which the power of the losses flows.
+        """Return whether the scene connects the pin ``heat``, which emits the lost power.
 
-        Bodies with a port of the same name, and heat bodies, do not have this pin.
+        Heat bodies do not have this pin, nor do bodies with a port of the same name.
         """
         if not is_heated(part, scene):
             return False
@@ -139,7 +140,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium: pairs of a pin and the reference pin."""
+        """Return the paths for steady flow in equilibrium: pairs of a pin and the reference pin."""
         last = self.reference(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().equilibrium_conditions(part, scene).paths
@@ -150,10 +151,10 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_with_model(
         self, part: Part[LinearKeysT], build: Build
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium with the built model.
+        """Return the paths for steady flow in equilibrium that the built model has.
 
-        The pins of a supported body have paths to the reference pin, and the pins of a free body
-        have paths between each other. An acoustic port is a path for flow only if the body is free.
+        The pins of a supported body have paths to the reference pin. The pins of a free body have
+        paths between each other. A steady flow passes an acoustic port only if the body is free.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
@@ -174,14 +175,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the used mechanical ports; a displacement of each pin moves a mass."""
+        """Return the pins of the used mechanical ports, because moving such a pin moves a mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
     def surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the mechanical ports that a contact uses; None without mechanical ports."""
+        """Return the surface under a contact with its mechanical ports; None without such ports."""
         mechanical = names_of(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
@@ -192,27 +193,30 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return ContactSurface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
-        """Return the modulus [Pa] of the half-space under a contact; None for other bodies."""
+        """Return the indentation modulus [Pa] of the surface under a contact; None if unknown."""
         return None
 
 
 def _require_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
-    """Raise an error if ports are missing."""
+    """Raise an error for the first of the ``missing`` ports; ``known`` ports are the hint."""
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
 
 def required_ports(part: Part, scene: JoinedScene) -> set[str]:
-    """Return ports and pins of ``part`` that other parts, probes, or its own key ``pins`` name."""
+    """Return the names of all ports and pins of ``part`` that the scene refers to.
+
+    Other parts, probes, or the key ``pins`` of the part itself refer to them.
+    """
     prefix = f"{part.name}."
     assert isinstance(part.type, BodyPorts)
     result = set(part.pins)
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # The deck contains copies of the body, with loads on all ports.
+        # Such a part adds copies of the body to the deck, with loads on all ports.
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
@@ -225,12 +229,12 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
 
 
 def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return the ports of displacements and forces."""
+    """Return the mechanical ports among ``ports``, which have a displacement and a force."""
     return [port for port in ports if port.domain is TRANSLATION]
 
 
 def paired_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return the ports that are pairs of pins, such as electrodes."""
+    """Return those of the ``ports`` that have two pins of their own, such as electrodes."""
     return [port for port in ports if port.paired]
 
 
@@ -240,7 +244,7 @@ def _names_in_scene(port: Port) -> set[str]:
 
 
 def list_contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
-    """Yield the contacts that press on ports of ``part``."""
+    """Yield the contact parts of the scene that press on a port of ``part``."""
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
         if any(target.startswith(f"{part.name}.") for target in targets):
@@ -255,8 +259,8 @@ def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
 def inert_ports(model: LinearModel) -> tuple[str, ...]:
     """Return the displacement pins at which only inertia resists a sudden force.
 
-    At these pins, the matrix D is zero, and states without mass do not contribute to the
-    displacement.
+    At these pins, the feedthrough matrix D is zero, and states without mass do not contribute to
+    the displacement.
     """
     if model.first_order or not model.symmetric:
         return ()
@@ -280,10 +284,10 @@ def has_energy_free_mode(model: LinearModel) -> bool:
 
 
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Return the name of a port in results.
+    """Return the name of a port in the results.
 
-    For an electrical port, the name is the prefix of voltage and current. The first electrical port
-    has the name of the part.
+    For an electrical port, this is the prefix of the result names ``.voltage`` and ``.current``.
+    The first electrical port has the name of the part.
     """
     if port.paired:
         return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"
@@ -292,7 +296,7 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
 
 
 def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Return the name of the flow through a port's pin in results, such as a current."""
+    """Return the result name of the flow through a port's pin, such as a current."""
     if port.paired:
         return f"{wave_name(name, ports, port)}.current"
     return f"{name}.{FLOW_SYMBOLS_OF_PORTS[port.kind]}.{port.name}"

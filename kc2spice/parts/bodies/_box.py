@@ -1,5 +1,7 @@
-"""Keys of a body that are parameters of its netlist (``rom.parameters``), and bodies with other
-values of these keys."""
+"""Keys of a body that ``rom.parameters`` makes parameters of its netlist.
+
+The module also contains functions that change the values of these keys.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
 
 @dataclass(frozen=True)
 class VariedKey:
-    """A key of the part (``layers[1].thickness``) with SI unit, value and range.
+    """A numeric key of the part, such as ``layers[1].thickness``, with SI unit, value and range.
 
     The range may begin at zero.
     """
@@ -38,7 +40,7 @@ class VariedKey:
 
     @property
     def axis(self) -> ParameterAxis:
-        """Parameter of a reduction, with the range of the key."""
+        """Parameter of the reduction that represents the key, with its range."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
@@ -54,8 +56,8 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
     Raises
     ------
-    UsageError : too many keys, a key that the part does not have or that is not a number, an empty
-        range or a range without the value of the part, or invalid values.
+    UsageError : there are too many keys, the part has no such numeric key, a range is empty or does
+        not contain the value of the part, or a value is invalid.
     """
     ranges = part.parameter_ranges
     where = f"{part.name}.{RANGES_KEY}"
@@ -77,12 +79,12 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
 
 def read_key_values(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the values that the part has for the keys."""
+    """Return the values of the keys in the part, by name of the key."""
     return {item.key: item.value for item in keys}
 
 
 def range_middles(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the values of the keys in the middle of their ranges."""
+    """Return the value in the middle of each key's range, by name of the key."""
     return {item.key: item.axis.middle for item in keys}
 
 
@@ -100,7 +102,7 @@ def make_varied_key(
 
     Raises
     ------
-    UsageError : an empty range, or a range without the value.
+    UsageError : the range is empty, or does not contain ``value``.
     """
     low, high = min(ends), max(ends)
     signed = low * high > 0 or (from_zero and low == 0)
@@ -119,7 +121,7 @@ def make_varied_key(
 
 
 def check_corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-    """Yield errors of the parameter ranges before a full model is made."""
+    """Yield the errors of invalid parameter ranges, found without building a full model."""
     try:
         keys = list_varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
@@ -135,7 +137,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
 
     Raises
     ------
-    UsageError : values that the part cannot have.
+    UsageError : the part cannot have these values.
     """
     table = part.keys.model_dump(exclude_unset=True)
     table.pop("rom", None)
@@ -162,12 +164,12 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
 
 
 def _split_key(key: str) -> list[str | int]:
-    """Split a dotted key into names and indices."""
+    """Split a dotted key, such as ``layers[1].thickness``, into names and indices."""
     return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
 
 
 def _unknown_key(part: Part, key: str, where: str) -> UsageError:
-    """Make the error of a key that is not a number of the part."""
+    """Return the error for a ``key`` that is not a numeric key of the part."""
     known = [join_path(path) for path, _ in list_keys(type(part.keys))]
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"

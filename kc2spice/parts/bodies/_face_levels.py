@@ -2,9 +2,9 @@
 
 Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
 is a piston with this volume velocity. In front of a face that works into a cavity, a vent or a
-tube, acoustic parts assume a uniform pressure. The effects are the shape of the motion, the baffle,
-and the tolerances of resonance, support and Q factor. The effects are computed before a simulation
-from the full model, at the frequency with the largest level.
+tube, acoustic parts assume a uniform pressure. This module estimates the effects of the shape of
+the motion, of the baffle, and of the tolerances of resonance, support and Q factor. They are
+computed before a simulation from the full model, at the frequency with the largest level.
 """
 
 from __future__ import annotations
@@ -25,36 +25,38 @@ from kc2spice.parts.bodies._face_response import (
 )
 from kc2spice.scene.part_records import Neglected
 
-TOLERANCE = 0.01  # relative tolerances of a resonance and of the diameter of a support
-# Largest k a for which the dipole formula holds. At this k a, the exact pressure of a rigid disc
-# without a baffle differs by about 2 dB (F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697).
+TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support's diameter
+# Largest product k a of wave number and radius for which the dipole formula holds. At this k a, the
+# exact pressure of a rigid disc without a baffle differs by about 2 dB (F. M. Wiener, J. Acoust.
+# Soc. Am. 23 (1951) 697).
 LARGEST_DIPOLE_KA = 1.5
-# dB, largest difference of the radiated power for which no warning is printed: the tolerance of a
-# sound level meter of class 2 (IEC 61672-1)
+# Largest difference [dB] of the radiated power that prints no warning. It equals the tolerance of a
+# sound level meter of class 2 (IEC 61672-1).
 PISTON_TOLERANCE = 1.0
-MIN_PISTON_SHARE = 0.5  # ratio of mean to rms velocity below which a warning is printed
+MIN_PISTON_SHARE = 0.5  # smallest ratio of mean to rms face velocity that prints no warning
 
 
 @dataclass(frozen=True)
 class FaceLevelEffects:
-    """Effects of assumptions on the level [dB] of a face, at the resonance with the largest level.
+    """Effects of assumptions on the sound level [dB] of a face, at its loudest resonance.
 
     Attributes
     ----------
-    resonance : frequency [Hz] of this resonance.
-    piston_ratio : ratio of mean to rms velocity.
-    peak : ratio of the largest to the mean displacement.
+    resonance : frequency [Hz] of the loudest resonance.
+    piston_ratio : ratio of mean to rms velocity of the face; 1 for a piston.
+    peak : ratio of the largest to the mean displacement of the face.
     power : radiated power relative to the power of a piston with the same volume velocity.
         ``worst`` is the largest difference of all resonances in the band, at ``worst_frequency``
         [Hz]. Without a part of type ``radiation`` on the face, these three values are 0.
     shift : relative change of the resonance frequency by the near field of a face that works into
         other acoustic parts, infinite if unknown. ``near_field`` is the effect of this shift on
         the level.
-    unbaffled : change of the level without a baffle, None if the body is not a thin disc.
-    detuned : change of the level 1 % beside the resonance, None without electrodes or sound.
-    halved : change of the level if the Q factor is halved, None without electrodes or sound.
+    unbaffled : change [dB] of the level without a baffle, None if the body is not a thin disc.
+    detuned : change [dB] of the level 1 % beside the resonance, None without electrodes or sound.
+    halved : change [dB] of the level at half the Q factor, None without electrodes or sound.
     node : diameter [m] of the nodal circle, None without a nodal circle.
-    support : changes of the level on supporting ``rings`` of other diameters [m]; empty if unknown.
+    support : changes [dB] of the level on supporting rings with the diameters ``rings`` [m]; empty
+        if unknown.
     """
 
     resonance: float
@@ -74,7 +76,7 @@ class FaceLevelEffects:
 
     @property
     def total(self) -> float | None:
-        """Root of the sum of squares of all effects except ``unbaffled``, None if unknown."""
+        """Root sum square [dB] of all effects except ``unbaffled``; None if unknown."""
         if self.detuned is None or self.halved is None:
             return None
         sizes = [self.power, self.near_field, self.halved, self.detuned]
@@ -97,7 +99,7 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
 
 
 def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
-    """Compare a face with a piston; None without a resonance in the band."""
+    """Return the differences between a face and a piston; None without a resonance in the band."""
     hertz, motion = face.motions()
     select = np.abs(motion.volumes) > 0
     hertz = hertz[select]
@@ -135,7 +137,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
 def _compare_with_piston(
     result: FaceLevelEffects, face: LoadedFace, motion: FaceMotion, hertz: np.ndarray, main: int
 ) -> FaceLevelEffects:
-    """Return ``result`` with the differences between the motion of the face and of a piston."""
+    """Return ``result`` with the differences in radiated power between the face and a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
@@ -160,7 +162,7 @@ def _compare_with_piston(
 
 
 def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevelEffects) -> str:
-    """Return the warning that a face does not move like a piston; empty if it does."""
+    """Return the warning that a face does not move like a piston; an empty string if it does."""
     share = levels.piston_ratio
     differences = (levels.worst, levels.near_field)
     if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
@@ -185,7 +187,7 @@ def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevel
 
 
 def _describe_near_field(levels: FaceLevelEffects) -> str:
-    """Describe the largest effect of the near field in a closed volume."""
+    """Return the largest effect of the near field in a closed volume, in words."""
     if math.isinf(levels.shift):
         return "is not estimated, because cross modes of the volume propagate"
     shift = f"lowers the resonance by at most {100 * levels.shift:.2g} %"
@@ -195,7 +197,7 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[Neglected]:
-    """Yield the assumptions about a face with their effects on its level.
+    """Yield the assumptions about a face with their effects on its sound level.
 
     With ``direct``, a part of type ``radiation`` is on the face.
     """

@@ -1,7 +1,8 @@
 """Sound pressure level of a face behind acoustic parts, computed with the full model of the body.
 
-With the drive V, the pressures p on the faces, their displaced volumes y and the impedances Z and
-sound pressures g of :class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`,
+Symbols: drive voltage V, pressures p on the faces, displaced volumes y of the faces, acoustic
+impedances Z and sound pressures per volume velocity g of
+:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`,
 
     y = H_V V + H_p p,     p = -s Z y,     sound = -s g y,     s = j omega.
 
@@ -27,16 +28,17 @@ from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.rom.linear_model import LinearModel
 
 MAX_MODES = 6  # number of modes that are compared with the motion of a piston
-# lowest frequency of the search for the largest level, as a fraction of the first natural frequency
+# Lowest frequency of the search for the largest level, divided by the first natural frequency.
 LOWEST_SHARE = 0.1
-SEARCH_POINTS = 150  # number of frequencies of this search, equally spaced on a logarithmic axis
-# Relative distances from the modes at which the search looks for sharp resonances.
+SEARCH_POINTS = 150  # number of logarithmically spaced frequencies of the search for the level
+# The search for sharp resonances adds points at these relative distances from each natural
+# frequency.
 DISTANCES = np.geomspace(1e-4, 0.1, 16)
 MODE_RATIOS = np.concatenate([1 - DISTANCES, [1.0], 1 + DISTANCES])
-# Each refinement divides the interval about a peak by (REFINED_POINTS - 1) / 2 = 5.
+# Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
 REFINEMENTS, REFINED_POINTS = 3, 11
-# dB; peaks of the first search that are lower than the largest peak by more than this are not
-# refined. A resonance with a Q factor of 200 can be this much too low between two points.
+# Only peaks within this margin [dB] of the largest peak are refined. Between two points of the
+# first search, the peak of a resonance with a Q factor of 200 can appear lower by this margin.
 PEAK_MARGIN = 12.0
 HALF_OCTAVE = 2**0.5  # largest ratio by which a resonance frequency can shift between two supports
 SILENCE = 1e-300  # Pa/V, below which a face counts as silent
@@ -44,11 +46,11 @@ SILENCE = 1e-300  # Pa/V, below which a face counts as silent
 
 @dataclass(frozen=True)
 class FluidAtFace:
-    """Fluid in front of a face, in the parts ``names``.
+    """Fluid in front of a face, in the acoustic parts ``names``.
 
-    ``radiation`` are the keys of a part of type ``radiation`` on the face, None if the face works
-    into other parts. ``volume`` [m3] is the smallest closed volume in front of the face, infinite
-    without a closed volume.
+    ``radiation`` contains the keys of the part of type ``radiation`` on the face; it is None if the
+    face works into other parts. ``volume`` [m3] is the smallest closed volume in front of the face,
+    infinite without a closed volume.
     """
 
     names: tuple[str, ...]
@@ -59,10 +61,10 @@ class FluidAtFace:
 
 @dataclass(frozen=True)
 class LoadedFace:
-    """Full model with an acoustic port, the fluid in front of it, and its load.
+    """Full model of a body with an acoustic port, the fluid in front of it, and its load.
 
-    ``joined`` are the names of all acoustic ports that the scene joins, in the order of the load.
-    The modes have natural frequencies below ``end`` [Hz]; their number is at most ``count``.
+    ``joined`` contains the names of all acoustic ports that the scene connects, in the order of the
+    load. At most ``count`` modes are compared; their natural frequencies are below ``end`` [Hz].
     """
 
     device: FiniteElementModel
@@ -80,13 +82,13 @@ class LoadedFace:
 
     @property
     def is_audible(self) -> bool:
-        """Whether electrodes drive the model, and its sound reaches a radiating surface."""
+        """Whether electrodes can drive the model, and its sound reaches a radiating surface."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)
 
     @cached_property
     def _reduced_model(self) -> LinearModel:
-        """Reduced model, whose basis contains the lowest modes."""
+        """Reduced model on a basis that contains the lowest modes."""
         return project_lowest_modes(self.device)
 
     @cached_property
@@ -96,7 +98,7 @@ class LoadedFace:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi))
 
     def levels(self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0) -> np.ndarray:
-        """Return relative sound pressure levels [dB] at a constant voltage.
+        """Return the relative sound pressure level [dB] at each frequency, at a constant voltage.
 
         ``damping`` multiplies all losses of the body.
         """
@@ -116,7 +118,8 @@ class LoadedFace:
         return np.asarray(20 * np.log10(np.maximum(pressure, SILENCE)))
 
     def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
-        """Return the frequency [Hz] in a range at which the level is largest, and this level."""
+        """Return the frequency [Hz] of the largest level from ``low`` to ``high``, and this
+        level."""
         near = self._resonance_frequencies[
             (self._resonance_frequencies > low / 2) & (self._resonance_frequencies < 2 * high)
         ]
@@ -137,11 +140,11 @@ class LoadedFace:
         return float(f[top]), float(levels[top])
 
     def find_largest_level(self, frequency: float, damping: float = 1.0) -> float:
-        """Return the largest level [dB] within half an octave of a frequency [Hz]."""
+        """Return the largest sound level [dB] within half an octave of ``frequency`` [Hz]."""
         return self.find_loudest(frequency / HALF_OCTAVE, frequency * HALF_OCTAVE, damping)[1]
 
 
 def scale_losses(model: LinearModel, factor: float) -> LinearModel:
-    """Return a model whose losses are multiplied by a factor."""
+    """Return a copy of the model with all losses multiplied by ``factor``."""
     loss = None if model.loss is None else factor * model.loss
     return replace(model, E=factor * model.E, loss=loss, loss_factor=factor * model.loss_factor)

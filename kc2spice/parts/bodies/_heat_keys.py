@@ -19,7 +19,7 @@ InterfaceResistance = Annotated[float, si("m2 K/W")]
 
 
 class FilmKeys(Section):
-    """Heat transfer from faces to a fluid, in proportion to the difference of temperatures."""
+    """Heat transfer from faces to a fluid, proportional to the temperature difference."""
 
     group: str = Field(
         examples=['"top"'],
@@ -61,7 +61,7 @@ class InterfaceKeys(Section):
 
 
 class LayerKeys(Section):
-    """Layer of a stack; heat flows perpendicularly through the layer."""
+    """Layer of a stack; heat flows through the layer along the axis of the stack."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'], description="Material of the layer, a name or a table"
@@ -77,9 +77,9 @@ class LayerKeys(Section):
 
 
 class HeatSourceKeys(Section):
-    """Place where heat enters the body.
+    """Place where heat enters the body through a pin.
 
-    The voltage of the pin is the mean temperature of this place.
+    The voltage of the pin represents the mean temperature of this place.
     """
 
     group: str | None = Field(
@@ -102,8 +102,8 @@ class HeatSourceKeys(Section):
 class HeatBodyKeys(MeshKeys):
     """Heat-conducting body from a mesh, a CAD file, or a list of layers.
 
-    Layers are listed from the top down. Their groups are ``top``, ``bottom``, and ``layer1``,
-    ``layer2`` … for the volume of each layer.
+    Layers are listed from the top down. A layered body has the groups ``top`` and ``bottom`` for
+    its faces, and ``layer1``, ``layer2`` … for the volumes of its layers.
     """
 
     layers: tuple[LayerKeys, ...] = Field(
@@ -136,7 +136,7 @@ class HeatBodyKeys(MeshKeys):
 
     @property
     def leads_away(self) -> bool:
-        """Whether a path inside the body leads heat to the ambient temperature."""
+        """Whether heat reaches the surroundings through a fixed face or a film of the body."""
         films = (film for film in self.films if film.coefficient)
         return bool(self.fixed) or None in {film.pin for film in films}
 

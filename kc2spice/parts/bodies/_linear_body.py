@@ -1,4 +1,4 @@
-"""Base of all parts whose model is linear: FE bodies and matrices, reduced, with typed ports."""
+"""Base class of all parts with a reduced linear model: FE bodies and models from matrices."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from kc2spice.scene.part_records import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
-# Negative real part of an impedance, relative to its magnitude, that exceeds rounding errors of a
-# lossless body.
+# A negative real part of an impedance below this fraction of its magnitude counts as a rounding
+# error of a lossless body.
 MAX_ACTIVE_SHARE = 1e-3
-SENSITIVITY_STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
+SENSITIVITY_STEP = 1e-2  # relative step of a parameter in the central differences of a metric
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
     """A linear part with metrics, figures and notes.
 
-    Each base class has one subject: ports, models, netlist, checks. A subclass derives the
-    :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
+    Each of its base classes covers one subject: ports, models, netlist, checks. A subclass derives
+    the :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
     """
 
     def metrics(
@@ -102,10 +102,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """Return the resonance of an impedance, if the model's conductance is largest there.
+        """Return the metric ``resonance_hz``, if the conductance of the body is largest there.
 
-        At the resonance, the current of a voltage source at the first electrode has its maximum,
-        without other loads on the body.
+        The metric is the frequency at which a voltage source at the first electrode delivers the
+        largest in-phase current to the body, without other loads on it.
         """
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
@@ -115,7 +115,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins whose loads do not change which of the resonances is the largest."""
+        """Return the pins with loads so light that the largest resonance remains the largest."""
         return set()
 
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
@@ -149,7 +149,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def figures(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         yield from _pictures.plot_port_waves(part.name, waves)
         z = compute_impedance(part, waves)
         if z is not None:
@@ -203,18 +203,18 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
         """Return the ports with prescribed temperatures instead of heat flows; none by default.
 
-        The certificate of the model also holds for the responses to the prescribed temperatures.
+        The certificate of the model also covers the responses to prescribed temperatures.
         """
         return ()
 
     def dimensions(self, part: Part[LinearKeysT]) -> int:
-        """Number of dimensions of the mesh."""
+        """Return the number of dimensions of the mesh."""
         return 3
 
     def finer_mesh(
         self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Yield the differences to a model with twice as many elements in each direction."""
+        """Yield the relative changes of the model on a mesh of half the element size."""
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)
@@ -248,7 +248,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
 
 def _read_count(part: Part, key: str) -> int:
-    """Return the value of a dotted key of a part, which is a whole number."""
+    """Return the integer value of a dotted ``key`` of the part."""
     value: Any = part.keys
     for name in key.split("."):
         value = getattr(value, name)
@@ -256,11 +256,11 @@ def _read_count(part: Part, key: str) -> int:
 
 
 def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
-    """Return an impedance (frequencies,) [Ohm], and values derived from it, as metrics.
+    """Return the metrics of an impedance [Ohm], such as its resonance, and its curve.
 
-    The values are those that an impedance analyser derives from an impedance.
-
-    If the frequency range contains no resonance, the curve is the only metric.
+    The metrics are the values that an impedance analyser derives from a measured impedance. If the
+    frequency range contains no resonance, the curve versus frequency is the only metric.
+    ``frequency`` [Hz] and ``impedance`` [Ohm] are arrays of shape (frequencies,).
     """
     from kc2spice.bodies.impedance import analyse_impedance
 
@@ -275,7 +275,7 @@ def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str,
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of an impedance analyser by name, with units."""
+    """Return the named values of an impedance analyser as metrics with units."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
@@ -286,11 +286,11 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def compute_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """Return the impedance ``V / I`` [Ohm] at the first electrical port from waves of a run.
+    """Return the impedance ``V / I`` [Ohm] at the first electrical port, computed from waveforms.
 
-    The shape is (frequencies,).
-    The result is None without recorded V and I, or if the body supplies the circuit: V / I is then
-    not the impedance of the body.
+    V and I are the complex voltage and current of the port; the returned array has the shape
+    (frequencies,). Return None if they were not recorded, or if the body supplies power to the
+    circuit, because V / I is then not the impedance of the body.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")

@@ -1,4 +1,4 @@
-"""Keys that linear bodies have in common, and type variables of parts that have such keys."""
+"""Keys common to all linear bodies, and type variables for part types with these keys."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing_extensions import TypeVar
 from kc2spice.core.quantities import Section, Time, Voltage
 from kc2spice.scene.settings import PartNumber, Rom
 
-MAX_INSTANTS = 20  # largest number of instants that a run writes
+MAX_INSTANTS = 20  # largest number of times at which a run writes the fields to a file
 
 
 class LinearKeys(Section):
@@ -30,9 +30,10 @@ class LinearKeys(Section):
 
 
 class FieldKeys(LinearKeys):
-    """Keys of the stress and electric field inside the body.
+    """Keys for the stress and the electric field inside a linear body.
 
-    The key ``fields`` states whether a run computes both fields, or the instants of VTU files.
+    The key ``fields`` states whether a run computes both fields, or lists the times at which it
+    also writes them to VTU files.
     """
 
     fields: (

@@ -20,7 +20,7 @@ from kc2spice.scene.model import DeclaredScene, Part
 Point: TypeAlias = tuple[Length, Length, Length]
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-MESH_FIELD = Field(  # field of the key ``mesh`` for bodies that require this key
+MESH_FIELD = Field(  # definition of the key ``mesh`` in part types that require a mesh
     examples=['"part.msh"'],
     description="Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, "
     ".exo, .e, .step, .stp or .brep",
@@ -58,7 +58,7 @@ class GroupKeys(Section):
         return self
 
     def pick(self, unit: float) -> dict[str, Any]:
-        """Return the selection for the mesh reader, in a file with the length ``unit`` [m]."""
+        """Return the selection of mesh entities, with coordinates in the file's length unit [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
         at = np.divide(getattr(self, kind), unit)
@@ -110,13 +110,13 @@ def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
 
     Raises
     ------
-    UsageError : the path leads out of the folder of the scene.
+    UsageError : the path points outside the folder of the scene.
     """
     return locate_file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
 
 
 def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield an error of a part's mesh file that can be found without reading the whole file."""
+    """Yield an error of the part's mesh file, found without reading the whole file."""
     try:
         path = mesh_path(part, scene)
         mesh_file.require_format(path)
@@ -151,11 +151,13 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
 
 
 def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.ndarray:
-    """Return the position (elements,) of each element's material among ``names`` of groups.
+    """Return the material of each element as an index into ``names``, an array (elements,).
+
+    ``names`` are the names of the mesh groups that have a material.
 
     Raises
     ------
-    UsageError : an element without a material, or with two materials.
+    UsageError : an element has no material, or two materials.
     """
     names = list(names)
     owner = np.full(groups.mesh.nelements, -1)

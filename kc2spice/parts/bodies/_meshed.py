@@ -1,9 +1,9 @@
-"""Bodies with a mesh, on which a run computes stress and electric field if ``fields`` is set.
+"""Bodies with a mesh, for which a run computes stress and electric field if ``fields`` is set.
 
 The full model computes the fields from the port waveforms of the run
-(:mod:`kc2spice.bodies.fields`). The results are the largest principal stress and field of every
-material with their limits, and a VTU file and a picture of the body at the instant of the largest
-stress. An ``ac`` analysis also gives the shapes of the lowest modes.
+(:mod:`kc2spice.bodies.fields`). For each material, the results are the largest principal stress and
+the largest electric field with their limits. For the instant of the largest stress, a run also
+writes a VTU file and draws the body. An ``ac`` analysis draws the shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
 _SINGULARITY_ADVICE = (
     "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 )
-# Name and unit of the metrics, title and scale of the plot, and the effect of exceeding the limit.
+# Per quantity: word and unit in the metric's name, axis label of the plot, and the effect of
+# exceeding the limit.
 _FIELD_DESCRIPTIONS = {
     "principal_stress": (
         "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
@@ -75,7 +76,7 @@ class RecoveredFields:
     extremes: tuple[Extreme, ...]
 
     def extremes_of(self, quantity: str) -> list[Extreme]:
-        """Return the extremes of a quantity in each material."""
+        """Return the extreme of ``quantity`` in each material."""
         return [item for item in self.extremes if item.quantity == quantity]
 
     @property
@@ -89,18 +90,18 @@ class RecoveredFields:
 
 
 class MeshedBody(SoundingBody[FieldKeysT]):
-    """Body with the key ``fields``; a subclass makes its finite-element model."""
+    """Body with a mesh and the key ``fields``; a subclass builds its finite-element model."""
 
     @abstractmethod
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Return the outer size of the body, for the estimates of neglected effects."""
+        """Return the outer size of the body, from which neglected effects are estimated."""
 
     @abstractmethod
     def describe_support(self, part: Part[FieldKeysT]) -> str:
         """Return a description of the support of the body."""
 
     def list_neglected_effects(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
-        """Yield the neglected effects of meshes, electrodes and the support."""
+        """Yield the effects of air, glue, electrodes and support that the model neglects."""
         yield from super().list_neglected_effects(part, scene)
         yield from neglected_effects(
             part.name,
@@ -111,10 +112,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 
     @abstractmethod
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Return the full model with its mesh."""
+        """Build the full finite-element model of the body with its mesh."""
 
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Return the full model with its mesh, from the workspace if possible.
+        """Return the full finite-element model, from the workspace if it contains the model.
 
         The workspace stores the latest model of each part type, because the next scene often needs
         another reduction of the same model.
@@ -125,12 +126,12 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         )
 
     def full(self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """Return the full model of the mesh."""
+        """Return the matrices of the full model with its ports."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         yield from find_field_problems(part, scene, shapes=True)
 
@@ -153,7 +154,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def checks(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
-        """Yield the checks of a run."""
+        """Yield the checks of the body after a run, with mesh errors, stress and field limits."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
         recovered = self.recovered(part, build, waves)
@@ -167,7 +168,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import compute_lowest_modes
@@ -203,9 +204,9 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def recovered(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> RecoveredFields | None:
-        """Return the motion inside the body during a transient.
+        """Return the motion, stress and electric field inside the body during a transient.
 
-        The result is None without the key ``fields``.
+        Return None without the key ``fields``, or in other analyses.
 
         Raises
         ------
@@ -227,8 +228,8 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
             return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
 
-        # The identity of ``waves`` is a valid key while the stored result contains a reference to
-        # ``waves``.
+        # The stored result contains a reference to ``waves``, so no other object can get the same
+        # ``id``, which is part of the key.
         kind = f"fields of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
@@ -236,10 +237,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 def find_field_problems(
     part: Part[FieldKeys], scene: GovernedScene, *, shapes: bool
 ) -> Iterator[UsageError]:
-    """Yield the error of the key ``fields``.
+    """Yield the error of an invalid key ``fields``.
 
-    The key is accepted only in transients. With ``shapes``, the value ``true`` is also accepted in
-    ac analyses, for the mode shapes.
+    The key is valid only in transients. With ``shapes``, the value ``true`` is also valid in ac
+    analyses, where it draws the mode shapes.
     """
     kind, instants = scene.analysis.type, chosen_instants(part)
     drawn = shapes and kind == "ac" and not instants
@@ -266,12 +267,15 @@ def check_mesh(part: Part, build: Build) -> Iterator[Check]:
 
 
 def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
-    """Return the instants [s] that the key ``fields`` lists."""
+    """Return the times [s] that the key ``fields`` lists."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
 class BondedBody(MeshedBody[FieldKeysT]):
-    """Body of bonded blocks: a subclass derives the blocks from its keys by ``structure``."""
+    """Body of bonded blocks, which the function ``structure`` of a subclass derives from its keys.
+
+    A block is a box or ring of one material.
+    """
 
     discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], BondedBlocks]
@@ -285,7 +289,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return _make_bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def sounding(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
-        """Return the body with those acoustic ports that the scene names."""
+        """Return the blocks with only those acoustic ports that the scene uses."""
         bonded, named = self.bonded(part), {}
         for name, face in bonded.faces.items():
             if name in part.pins or scene.is_target(part.name, name):
@@ -293,18 +297,18 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return replace(bonded, faces=named)
 
     def full_key(self, part: Part[FieldKeysT], scene: GovernedScene) -> Mapping[str, Any]:
-        """Return the data that determine the full model, with the radiating faces."""
+        """Return the cache key of the full model, which includes the used acoustic ports."""
         key, faces = super().full_key(part, scene), [*self.sounding(part, scene).faces]
         return {**key, "faces": faces} if faces else key
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         return self.sounding(part, scene).every_port
 
     def directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the directions of the ports of the body, which are all upwards."""
+        """Return the unit vector of each mechanical port by pin; all of them point upwards."""
         result = {}
         for port in self.ports(part, scene):
             if port.domain in (TRANSLATION, ACCELERATION):
@@ -318,12 +322,12 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def full_on_mesh(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
-        """Return the full model on the mesh of the part ``like``, with moved nodes."""
+        """Return the full model of ``part`` on the mesh of ``like``, with nodes moved to fit."""
         body = replace(self.sounding(part, scene), like=self.bonded(like))
         return body.device().model
 
     def rated_by_material(self, part: Part[FieldKeysT]) -> float | None:
-        """Return the voltage limit of the material [V]."""
+        """Return the voltage rating [V] that follows from the material."""
         return self.bonded(part).rated
 
     def dimensions(self, part: Part[FieldKeysT]) -> int:
@@ -339,14 +343,14 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
 
     def indentation_modulus(self, part: Part[FieldKeysT]) -> float | None:
-        """Return the modulus of the half-space under the contact [Pa]."""
+        """Return the indentation modulus [Pa] of the top layer; None without layers."""
         top = self.bonded(part).blocks[-1].material
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of a body, and for each implausible layer.
 
-        Each layer has a diameter, or all layers have the width of the body.
+        The width of a layer is its diameter, or the width of the whole body.
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
@@ -357,7 +361,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
-        """Yield the side view of the blocks, with the highest face at zero.
+        """Yield the side view of the blocks, with the highest face at height zero.
 
         A block with a bore is drawn on both sides of the axis. The first block of each kind has an
         entry in the legend.
@@ -379,7 +383,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 @lru_cache(maxsize=32)
 def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
-    """Return the blocks of a body from the JSON text of its keys."""
+    """Return the blocks of a body of type ``kind`` from its keys, a JSON string."""
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 
@@ -389,7 +393,7 @@ def metric_word(material: str) -> str:
 
 
 def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
-    """Plot the extremes of stress and field over time."""
+    """Plot the largest stress and electric field in each material versus time."""
     panels = []
     for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
         rows = recovered.extremes_of(quantity)

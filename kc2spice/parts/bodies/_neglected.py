@@ -1,7 +1,8 @@
 """Effects that no finite-element body models, each with its size if a formula exists.
 
-The input of these formulas is an :class:`Envelope`: outer sizes, mass and layers, which follow from
-the keys before a mesh exists. Effects that a body models, such as a layer of glue, are not listed.
+The input of these formulas is an :class:`Envelope` with outer size, mass and layers. These values
+follow from the keys before a mesh exists. An effect that the model includes, such as a layer of
+glue, is not listed.
 """
 
 from __future__ import annotations
@@ -23,28 +24,29 @@ if TYPE_CHECKING:
     # Imported for annotations only, because the module loads the finite elements.
     from kc2spice.bodies.device import Block
 
-# W/(m^2 K), heat transfer coefficient from a small surface to still air, by convection and
-# radiation: VDI Heat Atlas, 2nd ed. 2010, sections F2 and K1, for sizes of 10 mm to 50 mm at about
-# 20 K above the temperature of the air
+# Heat transfer coefficient [W/(m^2 K)] from a small surface to still air, by convection and
+# radiation, for sizes of 10 mm to 50 mm at about 20 K above the air temperature. Source: VDI Heat
+# Atlas, 2nd ed. 2010, sections F2 and K1.
 COOLING_COEFFICIENT = 10.0
-GLUE_THICKNESS = 10e-6  # m, epoxy joint that is pressed while it cures
-# Total thickness [m] of both fired electrodes, and the density of silver [kg/m^3].
+GLUE_THICKNESS = 10e-6  # thickness [m] of an epoxy joint that is pressed during curing
+# Total thickness [m] of both fired silver electrodes of a layer, and density [kg/m^3] of silver.
 SILVER_LAYER = (2 * 5e-6, 10490.0)
 NOT_ESTIMATED_TEXT = "not estimated"
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """Outer size of a body.
+    """Outer size, mass and layers of a body, from which neglected effects are estimated.
 
     Attributes
     ----------
     air : mass [kg] of the air that moves with the body, None if no formula exists for its shape.
     mass : mass of the body [kg], None before the mesh exists.
-    surface : surface [m^2] of the body; for a user's mesh, the surface of the bounding box.
+    surface : surface area [m^2] of the body; for a user's mesh, of its bounding box.
     layers : glued layers from the bottom up; bodies with bolts and mesh files have none.
-    length : [m] along which these layers are coupled: half the diameter of a disc.
-    electrode : area [m^2] of one face.
+    length : length [m] along which the layers are coupled: the radius of a disc, the length of a
+        beam.
+    electrode : area [m^2] of one electrode, which covers the whole face of a layer.
     """
 
     air: float | None
@@ -56,16 +58,16 @@ class Envelope:
 
 
 def disc_air_mass(radius: float) -> float:
-    """Return the mass [kg] of the air that a rigid disc moves on both sides together.
+    """Return the mass [kg] of air that a rigid disc without a baffle moves on both sides.
 
-    The mass is ``8/3 rho a^3``. In a baffle, the disc moves this mass on each side (L. L. Beranek,
-    Acoustics, 1986, section 5.2).
+    The mass is ``8/3 rho a^3`` for the radius a and the density rho of air. In a baffle, the disc
+    moves this mass on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
     """
     return 8 / 3 * AIR_DENSITY * radius**3
 
 
 def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
-    """Return the envelope of a body of revolution; no air flows around a ``baffled`` rim."""
+    """Return the envelope of a body of revolution; air cannot flow around a ``baffled`` rim."""
     boxes = np.array([block.box for block in blocks])
     radius = float(boxes[:, 0, 1].max())
     low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
@@ -82,8 +84,8 @@ def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelo
 def beam_envelope(blocks: Sequence[Block]) -> Envelope:
     """Return the envelope of a beam of width w and length l.
 
-    The beam moves an air mass of ``pi/4 rho w^2 l``. Source: flow across a plate strip, J. N.
-    Newman, Marine Hydrodynamics (1977), section 4.16.
+    The beam moves an air mass of ``pi/4 rho w^2 l``. Source: J. N. Newman, Marine Hydrodynamics
+    (1977), section 4.16, for the flow across a plate strip.
     """
     (x, length), (y, width) = blocks[0].box[:2]
     length, width = length - x, width - y
@@ -99,8 +101,8 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 def box_envelope(sides: Sequence[float]) -> Envelope:
     """Return the envelope of a box, or of a cylinder from its radius and height [m].
 
-    The mass of the moved air is at most ``8/3 rho a^3``, the mass for a disc with the size of the
-    largest face.
+    The mass of the moved air is at most ``8/3 rho a^3``. This is the mass for a disc of radius a
+    that has the area of the largest face.
     """
     if len(sides) == 2:
         radius, height = sides
@@ -116,8 +118,8 @@ def neglected_effects(
 ) -> Iterator[Neglected]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    If ``support`` names a mounting, the compliance of the mounting is one of the effects. The
-    losses of a ``heated`` body flow out of its heat pin.
+    If ``support`` names a mounting, one of the effects is the compliance of the mounting. The heat
+    of the losses of a ``heated`` body flows out of its pin ``heat``.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
@@ -141,10 +143,10 @@ def neglected_effects(
 
 
 def _describe_air(envelope: Envelope) -> str:
-    """Describe the effect of the moved air.
+    """Return the effect of the moved air on the first resonance, in words.
 
-    A mass m_a that is added to the mass m lowers a frequency by the fraction ``1 - (1 +
-    m_a/m)^-1/2``.
+    The added air mass m_a lowers the natural frequency of a body with the mass m by the fraction
+    ``1 - (1 + m_a/m)^-1/2``.
     """
     if envelope.air is None:
         return NOT_ESTIMATED_TEXT
@@ -170,8 +172,9 @@ def _glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
 def shear_transfer_length(below: Block, above: Block) -> float:
     """Return the length [m] over which the shear of the glue transfers strain between layers.
 
-    The length is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` with the thicknesses t, Young's moduli
-    E, and the shear modulus G of the glue (E. F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
+    The length is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2``. t1 and t2 are the thicknesses of the
+    layers, E1 and E2 their Young's moduli, and t_g and G the thickness and the shear modulus of the
+    glue (E. F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
     """
     shear = material("epoxy").C[3, 3]
     softness = 1 / (_youngs_modulus(below) * below.thickness)
@@ -180,7 +183,7 @@ def shear_transfer_length(below: Block, above: Block) -> float:
 
 
 def _youngs_modulus(block: Block) -> float:
-    """Return Young's modulus [Pa] of a block along the layer."""
+    """Return Young's modulus [Pa] of a block in the plane of its layer."""
     return float(1 / np.linalg.inv(block.material.C)[0, 0])
 
 

@@ -17,23 +17,25 @@ from kc2spice.rom.modal import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
-# number of frequencies of an impedance, in addition to the frequencies near resonances
+# number of plotted frequencies of an impedance, without the extra frequencies near resonances
 IMPEDANCE_FREQUENCIES = 600
-# number of mesh lines on a surface above which only edges between faces at an angle are drawn
+# Largest number of drawn mesh lines on a surface. A finer mesh is drawn with only the edges at
+# which the surface bends.
 MAX_MESH_LINES = 4000
-# smallest second eigenvalue of ``sum n n'`` over the faces at an edge, for an edge that is drawn
+# The surface bends at an edge if the second eigenvalue of ``sum n n'``, relative to the largest,
+# exceeds this value. n are the normals of the faces at the edge.
 MIN_BEND = 0.05
 DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body
 MAX_PIXELS = 360  # number of pixels along the longer side of a coloured picture
 IMPEDANCE_CAPTION = ": minimum at resonance, maximum at antiresonance."
-# ratio of the shift to the right and upwards to the depth in an oblique projection
+# Shift of a point to the right and upwards in the oblique projection, divided by its depth.
 OBLIQUE_SHIFT = 0.35
 
 
 def plot_impedances(
     name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str
 ) -> Figure:
-    """Plot magnitude and phase of impedances [Ohm] over frequency [Hz]."""
+    """Plot magnitude and phase of impedances ``z`` [Ohm] versus frequency [Hz]."""
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
     unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
     f = frequency / scale
@@ -52,10 +54,10 @@ def plot_impedances(
 def plot_port_impedances(
     name: str, model: LinearModel, modal: Resonators | None
 ) -> Iterator[Figure]:
-    """Plot the impedance of each electrical port, with other ports shorted and without forces.
+    """Plot the impedance of each electrical port, with other electrodes shorted and no forces.
 
-    The frequencies are dense around the resonances of ``modal``. Undamped resonance frequencies are
-    left out, because the impedance is not defined there.
+    The plotted frequencies are dense around the resonances of ``modal``. The resonance frequencies
+    of undamped modes are left out, because the impedance is not defined there.
     """
     if model.certificate is None:
         return
@@ -81,7 +83,7 @@ def plot_port_impedances(
 
 
 def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
-    """Plot voltages and displacements over frequency, if no impedance was measured."""
+    """Plot voltages and displacements of the part ``name`` versus frequency."""
     if "frequency" not in waves:
         return
     frequency = waves["frequency"].real
@@ -133,8 +135,8 @@ def draw_deformed(
 ) -> tuple[Panel, float]:
     """Draw the deformed body over its edges at rest, and return the displacement scale.
 
-    ``z`` (n,) are the displacements, and ``voltages`` (e,) are the electrode voltages. The colour
-    shows the largest principal stress.
+    The colour shows the largest principal stress. ``z`` is the vector of displacements, of shape
+    (n,), and ``voltages`` contains the electrode voltages, of shape (e,).
     """
     from kc2spice.bodies.fields import compute_largest_principal_stress, evaluate_at_nodes
 
@@ -152,7 +154,7 @@ def draw_deformed(
 def draw_modes(
     device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
 ) -> Iterator[Panel]:
-    """Yield a panel for each mode; each column of ``columns`` (n, modes) is a mode shape."""
+    """Yield a picture of each mode; ``columns``, of shape (n, modes), contains the mode shapes."""
     from kc2spice.bodies.fields import evaluate_at_nodes
 
     still = np.zeros(device.drive.shape[1])
@@ -167,7 +169,10 @@ def draw_modes(
 
 
 def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return element corners (elements, vertices, 3) [m] with scaled displacements, and a scale."""
+    """Return the element corners [m] moved by scaled displacements, and the scale factor.
+
+    The corners are an array of shape (elements, vertices, 3).
+    """
     mesh, corners = device.solid.mesh, element_corners(device.solid.mesh)
     moves = moves.reshape(len(corners), -1, 3)[:, : corners.shape[1]]
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
@@ -176,7 +181,10 @@ def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray,
 
 
 def element_corners(mesh: Any) -> np.ndarray:
-    """Return the corners (elements, vertices, 3) [m] of all elements; a plane mesh has x and z."""
+    """Return the corners [m] of all elements, an array of shape (elements, vertices, 3).
+
+    The coordinates of a two-dimensional mesh are x and z.
+    """
     corners = np.asarray(mesh.p[:, mesh.t].transpose(2, 1, 0))
     if mesh.dim() == 2:
         corners = np.stack((corners[..., 0], np.zeros(corners.shape[:2]), corners[..., 1]), -1)
@@ -186,7 +194,7 @@ def element_corners(mesh: Any) -> np.ndarray:
 def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
     """Return a coloured map of nodal ``values`` on the visible surface of a mesh.
 
-    ``corners`` (elements, vertices, 3) [m] are the corners of the elements.
+    ``corners`` contains the corners [m] of the elements, of shape (elements, vertices, 3).
     """
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
     if mesh.dim() == 2:
@@ -198,8 +206,8 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
-    # All triples of corners of a face are drawn, so that the order of its four corners has no
-    # effect.
+    # A triangle is drawn for each three corners of a face, because the order of its four corners
+    # can differ.
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
@@ -209,7 +217,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
     x = low[0] + dot * (np.arange(count[0]) + 0.5)
     y = low[1] + dot * (np.arange(count[1]) + 0.5)
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
-    # at least two points for each pixel
+    # Each triangle is filled with at least two points for each pixel.
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)
     result = []
     for n in np.unique(steps):  # number of points along each side of a triangle
@@ -225,9 +233,9 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 
 
 def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
-    """Return the vertices (2, edges) of the surface mesh.
+    """Return the two vertices of each drawn edge of the surface, an array of shape (2, edges).
 
-    If the mesh has more than ``fine`` lines, only edges between faces at an angle are returned.
+    If the surface has more than ``fine`` mesh lines, only the edges at which it bends are returned.
     """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:
@@ -238,8 +246,8 @@ def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
     edges = mesh.f2e[:, facets]
-    # The sum of n n' over the normals n of the faces at an edge has rank one if these faces lie in
-    # one plane.
+    # n are the normals of the faces at an edge. If these faces lie in one plane, the sum of n n'
+    # has rank one.
     spread = np.zeros((mesh.edges.shape[1], 3, 3))
     for edge in edges:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
@@ -249,8 +257,8 @@ def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
 
 
 def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = MAX_MESH_LINES) -> Curve:
-    """Return the edges of a mesh [mm] in oblique projection, separated by points of NaN."""
-    points, edges = mesh.p[:, : mesh.nvertices], _visible_edges(mesh, fine)  # no nodes on edges
+    """Return the mesh edges [mm] in oblique projection as a single curve with NaN between edges."""
+    points, edges = mesh.p[:, : mesh.nvertices], _visible_edges(mesh, fine)  # no midside nodes
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE_SHIFT * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)
     path[:, :2] = 1e3 * flat[:, edges]

@@ -1,4 +1,4 @@
-"""Bodies whose faces radiate sound: warnings, neglected effects and the error of the level."""
+"""Bodies that radiate sound: warnings, neglected effects and the error of the sound level."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice
 
 
 class SoundingBody(LinearBody[FieldKeysT]):
-    """Body with a mesh, whose faces can be joined to acoustic parts."""
+    """Body with a mesh and faces that can be connected to acoustic parts."""
 
     @abstractmethod
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """The full model with its mesh."""
+        """Return the full finite-element model with its mesh."""
 
     def devices_on_rings(
         self,
@@ -51,16 +51,16 @@ class SoundingBody(LinearBody[FieldKeysT]):
         node: float | None,
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
-        """Return full models on supporting rings of other diameters, keyed by the diameter [m].
+        """Return full models on supporting rings of changed diameter, keyed by the diameter [m].
 
-        The ring of a free body is the nodal circle, which has the diameter ``node``. ``changes``
-        are relative changes of the diameter. Rings that are larger than the body are left out. The
-        result is empty for other supports.
+        A free body is supported on its nodal circle, which has the diameter ``node``. ``changes``
+        contains the relative changes of the diameter. Rings that are larger than the body are left
+        out. If no ring supports the body, the returned dictionary is empty.
         """
         return {}
 
     def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FluidAtFace]:
-        """Return the fluid in front of each face, keyed by the name of the port."""
+        """Return the fluid in front of each radiating face, keyed by the name of its port."""
         from kc2spice.parts.bodies._face_response import FluidAtFace
 
         result = {}
@@ -84,7 +84,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
-        """Return the pins of faces that radiate into a gas."""
+        """Return the pins of faces that radiate into a gas, which is a light load."""
         facing = self.facing_fluids(part, scene)
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
@@ -105,7 +105,8 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
 
         end = float(self.reduction(part, scene).band[1])
-        # A transient excites the first resonance most, and has no band of sound.
+        # A transient mainly excites the first resonance, so only this mode is compared with a
+        # piston.
         count = MAX_MODES if scene.analysis.is_small_signal else 1
         faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
         joined = tuple(item.name for item in faces)
@@ -125,12 +126,13 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def build() -> FaceLevelEffects | None:
-            """Compute the effects of the assumptions with the full model."""
+            """Compute the effects of the assumptions about the face with the full model."""
             face = LoadedFace(self.device(part, scene), port, facing, joined, load, end, count)
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate() -> FaceLevelEffects | None:
-            """Return the effects of the assumptions from the cache on disk, or compute them."""
+            """Read the effects of the assumptions about the face from the cache, or compute
+            them."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 
@@ -139,7 +141,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
-        """Return the effects of the assumptions about a face, also on rings of other diameters."""
+        """Return the effects of the assumptions about a face and about its supporting ring."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
@@ -155,9 +157,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def build(
         self, part: Part[FieldKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Build the model, and warn about faces that do not move like a piston.
+        """Build the model of the body, and warn about faces that do not move like a piston.
 
-        If a part at the face states ``motion = "piston"``, no warning is printed.
+        If an acoustic part at the face states ``motion = "piston"``, no warning is printed.
         """
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
@@ -195,7 +197,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _plot_face_displacements(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figure of the mean displacements of radiating faces."""
+        """Yield the figure with the mean displacement of each radiating face."""
         displacements = self._face_displacements(part, build, waves)
         if not displacements:
             return
@@ -213,7 +215,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _face_displacements(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the mean displacement [m] of each face with a volume velocity in the results."""
+        """Return the mean displacement [m] of each face with a recorded volume velocity."""
         from kc2spice.bodies.device import get_area_name
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
@@ -222,7 +224,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             flow = flow_name(part.name, model.ports, port) if port.domain is ACOUSTIC else ""
             area = model.facts.get(get_area_name(port.name))
             if flow in waves and area:
-                # A positive volume velocity into the pin moves the face inwards.
+                # A positive volume velocity into the pin of a face moves the face inwards.
                 result[port.name] = -integrate_flow(waves, waves[flow]) / area
         return result
 
@@ -242,7 +244,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
 
 
 def _states_motion(names: Iterable[str], scene: Scene) -> bool:
-    """Return whether a part at a face states that the face moves like a piston."""
+    """Return whether one of the parts at a face states that the face moves like a piston."""
     keys = (scene.parts[name].keys for name in names)
     return any(isinstance(item, FluidKeys) and item.motion is not None for item in keys)
 
@@ -250,7 +252,10 @@ def _states_motion(names: Iterable[str], scene: Scene) -> bool:
 def _describe_peak(
     port: str, levels: FaceLevelEffects, waves: Waveforms, displacement: np.ndarray
 ) -> str:
-    """Describe the largest displacement of a face at resonance, from mode shape and mean."""
+    """Return a sentence with the largest displacement of a face at resonance.
+
+    The displacement is computed from the mode shape and the mean displacement.
+    """
     place = levels.resonance
     mean = float(np.interp(place, waves.scale.real, np.abs(displacement)))
     return (

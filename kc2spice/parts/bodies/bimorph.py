@@ -1,6 +1,7 @@
 """The part ``bimorph``: a layered rectangular beam or plate that bends.
 
-Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins).
+It models unimorphs, series bimorphs and parallel bimorphs. A beam of metal alone has no electrical
+pins.
 
 x runs along the length from the clamp, y along the width, z up. Every layer consists of quadratic
 hexahedra. The model therefore includes the bending of plates, the lateral contraction at the clamp
@@ -43,14 +44,14 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-# Numbers of elements along and across the beam if refine = 1.
+# Numbers of elements along and across the beam for ``mesh.refine = 1``.
 ELEMENTS_ALONG = 20
 ELEMENTS_ACROSS = 4
 GRADING_RATIO = 1.6
 
 
 class BimorphLayer(Section):
-    """Layer that covers the whole beam."""
+    """Layer of a bimorph, which covers the whole beam."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'], description="Material of the layer, a name or a table"
@@ -59,11 +60,12 @@ class BimorphLayer(Section):
 
 
 class BimorphKeys(FieldKeys):
-    """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
-    (on knife edges under both ends), *free*, or *quarter*: clamped at x = 0 and y = 0, with mirror
-    planes at the other sides: a quarter of a plate clamped along all edges. ``tip_mass`` is spread
-    over the end face. ``points`` are further ports on the centre line of the top face, given by the
-    distance from the clamp. For a *quarter*, this line is the centre line of the whole plate.
+    """``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
+    (on knife edges under both ends), *free*, or *quarter*. A *quarter* models a quarter of a plate
+    that is clamped along all edges: it is clamped at x = 0 and y = 0, and its other sides are
+    mirror planes. ``tip_mass`` is distributed over the end face. ``points`` are further ports on
+    the centre line of the top face, each given by its distance from the clamp. For a *quarter*,
+    this line is the centre line of the whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam")
@@ -125,10 +127,11 @@ class BimorphKeys(FieldKeys):
 
 
 def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> BondedBlocks:
-    """Make the layers with electrodes, support, ports and the mass at the tip.
+    """Return the layers of a bimorph with electrodes, support, ports and tip mass.
 
-    ``mesh.refine`` divides element edges in the plane, and half as finely through the thickness,
-    because one quadratic element through the thickness represents the bending of a plate.
+    ``mesh.refine`` divides the element edges in the plane of the layers. Through the thickness, the
+    mesh is refined by half this factor, because a single quadratic element already represents the
+    bending of a plate.
 
     Raises
     ------
@@ -152,15 +155,15 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     length, width, top = beam.length, beam.width, heights[-1]
 
     def plane(height: float) -> Box:
-        """Return a plane of the beam at a height."""
+        """Return the horizontal plane of the beam at ``height``."""
         return (0.0, length), (0.0, width), (height, height)
 
     def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
-        """Return a cross-section of the beam at a position."""
+        """Return the part of the cross-section at ``x`` that the intervals ``y`` and ``z`` span."""
         return (x, x), y, z
 
-    # Electrodes from the bottom up. Faces of one conductor, or of two ceramics in contact, are one
-    # electrode.
+    # Electrodes are listed from the bottom up. The faces on one conductor, or the touching faces of
+    # two ceramic layers, form one electrode.
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
@@ -171,8 +174,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     blocks = []
     for k, (one, span) in enumerate(zip(materials, spans, strict=True)):
         above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
-        # A positive voltage causes a downward field in all layers in series, but only in every
-        # second layer in parallel.
+        # A positive voltage causes a downward field in all layers of a series bimorph, but only in
+        # every second layer of a parallel bimorph.
         down = series or k not in active or (active.index(k) - len(active)) % 2
         poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)
@@ -222,10 +225,13 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
 
 
 def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
-    """Return grid lines along the beam (finer towards clamps), across it and through the layers."""
+    """Return the grid lines of the mesh along the beam, across it and through the layers.
+
+    The lines along the beam are closer to each other near the clamps.
+    """
     refine, rows = beam.mesh.refine, beam.rows or 1
     s = np.linspace(0, 1, ELEMENTS_ALONG * refine + 1)
-    if beam.patches:  # each strip between two lines has the same number of elements.
+    if beam.patches:  # all patches have the same number of elements along the beam
         s = np.linspace(0, 1, -(-ELEMENTS_ALONG * refine // beam.patches) * beam.patches + 1)
     elif beam.support == "cantilever":
         s = s**GRADING_RATIO
@@ -249,7 +255,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     structure = staticmethod(bimorph_body)
 
     def describe_support(self, part: Part[BimorphKeys]) -> str:
-        """Describe the support for the list of neglected effects."""
+        """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
 

@@ -5,20 +5,21 @@ Groups of the file name materials, supports, electrodes and ports::
     [bracket]
     part = "body"
     mesh = "bracket.step"
-    unit = "mm"                   # needed except with STEP files, which state their own
-    size = "2 mm"                 # of the elements, CAD files only
+    unit = "mm"                   # length unit of the file; STEP files contain their unit
+    size = "2 mm"                 # element size, for CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
-    poling = { patch = [0, 0, 1] }    # or "radial" and "tangential" about z, or a CSV file
-    axes = { frame = { z = [0, 0, 1], x = [0, 1, 0] } }    # of all tensors
-    fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
+    poling = { patch = [0, 0, 1] }    # or "radial" or "tangential" about z, or a CSV file
+    axes = { frame = { z = [0, 0, 1], x = [0, 1, 0] } }    # material axes of a group
+    fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller support
     electrodes = { anode = "top", cathode = "bottom" }
     ports = [
         { name = "tip", group = "end", axis = "z" },
         { name = "base", kind = "base", axis = "z" },
     ]
 
-In a CAD file, groups are its labels and what ``groups`` picks, by points that lie in an entity or
-by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
+The groups of a CAD file are its labels and the groups that the key ``groups`` defines. This key
+selects entities by points that lie in them, or by a box around them:
+``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
 """
 
 from __future__ import annotations
@@ -77,9 +78,10 @@ from kc2spice.scene.parttype import register
 
 Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
-# Components of a poling along the radius, around and along the axis.
+# Radial, circumferential and axial component of the poling vector, by the name of the direction.
 _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
-# Domains of ports by their kind; the motions of a rigid face have several.
+# Physical domain of a port by its kind. A port on a rigid face is not listed, because its domain
+# depends on the motion.
 _DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
 _NEEDS_OF_KINDS = {
     "mean": "needs group or at",
@@ -114,12 +116,13 @@ class FixedKeys(Section):
 class PortKeys(Section):
     """Mechanical or acoustic port of a body.
 
-    The ``kind`` *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
-    points) along ``axis``, with a force that is spread over the group. *rigid* makes a face rigid.
-    One motion (``x`` … ``rz``) of the face is the port; without ``axis``, all six motions are the
-    ports ``NAME_x`` … ``NAME_rz``. *base* is the acceleration of the support of the body. *face* is
-    the pressure on a face of the surface, and the volume that the face displaces. Instead of a
-    group, ``at`` selects the mesh node nearest to a point.
+    A port of ``kind`` *mean* is the mean displacement of a group along ``axis``, with a force that
+    is distributed over the group. The group consists of elements, faces, curves or points. The kind
+    *rigid* makes a face rigid. Its port is one motion (``x`` … ``rz``) of the face; without
+    ``axis``, its six motions are the ports ``NAME_x`` … ``NAME_rz``. A *base* port is the
+    acceleration of the support of the body. A *face* port is the pressure on a surface group, and
+    the volume that the group displaces. Instead of a group, ``at`` selects the mesh node nearest to
+    a point.
     """
 
     name: Name = Field(examples=['"tip"'], description="Name of the port and of its pin")
@@ -171,12 +174,12 @@ class PortKeys(Section):
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Motions of the rigid face that become ports."""
+        """Names of the motions of the rigid face that become ports."""
         return _MOTION_NAMES if self.axis is None else (str(self.axis),)
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Return the ports of the model for this entry."""
+        """Ports of the model that this entry of the key ``ports`` defines."""
         if self.kind != "rigid":
             return (Port(self.name, _DOMAINS_OF_KINDS[self.kind].port),)
         result = []
@@ -188,7 +191,7 @@ class PortKeys(Section):
 
     @property
     def direction(self) -> np.ndarray:
-        """Unit vector (3,) of a translation."""
+        """Unit vector of the port's translation, an array of shape (3,)."""
         if isinstance(self.axis, str):
             return np.eye(3)["xyz".index(self.axis)]
         axis = np.asarray(self.axis, float)
@@ -199,8 +202,8 @@ class PolingKeys(Section):
     """Radial or tangential poling, or the poling of each element from a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
-    ``x, y, z, px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an
-    element.
+    ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with points, the point nearest to an
+    element determines its poling.
     """
 
     direction: Vector | None = Field(
@@ -214,7 +217,7 @@ class PolingKeys(Section):
 
     @property
     def contradiction(self) -> str:
-        """Return the reason why the keys define no poling; empty if they define a poling."""
+        """Reason why the keys define no poling; an empty string if they define one."""
         if (self.direction is None) == (self.file is None):
             return "state direction or file: one of them"
         if self.file and self.model_fields_set != {"file"}:
@@ -225,7 +228,7 @@ class PolingKeys(Section):
 
     @property
     def correction(self) -> str:
-        """Return the action that makes the keys define a poling."""
+        """Hint that corrects keys that define no poling."""
         if self.direction is not None and self.file is not None:
             return "delete direction or file"
         if self.file:
@@ -234,7 +237,7 @@ class PolingKeys(Section):
 
 
 class AxesKeys(Section):
-    """Axes of all tensors of a material; ``poling`` defines only the third axis."""
+    """Axes of all tensors of a material, while ``poling`` defines only the third axis."""
 
     z: Vector = Field(
         (0.0, 0.0, 1.0), description="Direction of the third material axis, or axis of a cylinder"
@@ -283,7 +286,7 @@ class AxesKeys(Section):
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation matrix (3, 3), whose columns are the material axes in cartesian coordinates."""
+        """Rotation matrix (3, 3) with the material axes in cartesian coordinates as its columns."""
         first, third = np.asarray(self.x or (1.0, 0.0, 0.0)), np.asarray(self.z)
         third = third / np.linalg.norm(third)
         first = first - third * (first @ third)
@@ -346,7 +349,7 @@ class BodyKeys(MeshKeys):
 
     @property
     def poling_files(self) -> dict[str, str]:
-        """CSV files of polings, keyed by the group."""
+        """Paths of the CSV files with poling vectors, keyed by mesh group."""
         result = {}
         for group, item in self.poling.items():
             if isinstance(item, PolingKeys) and item.file is not None:
@@ -421,9 +424,10 @@ class BodyKeys(MeshKeys):
 
 
 def _write_terminals(keys: BodyKeys, info: ValidationInfo) -> str:
-    """Write electrodes on a piezoelectric group of the mesh, otherwise a port at a group of faces.
+    """Return example text for the keys ``electrodes`` or ``ports`` of a body, for an error hint.
 
-    Without such groups, it is a port at a point.
+    The example has electrodes on a piezoelectric group of the mesh. Without such a group, it has a
+    port on a group of faces. Without any group of faces, it has a port at a point.
     """
     place, clamped = "at = [0, 0, 0]", {item for item in keys.fixed if isinstance(item, str)}
     with suppress(UsageError):
@@ -444,17 +448,17 @@ def _write_terminals(keys: BodyKeys, info: ValidationInfo) -> str:
 def device(
     keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
 ) -> FiniteElementModel:
-    """Read the mesh, name its groups, and assemble the model.
+    """Read the mesh with its groups, and assemble the finite-element model of the body.
 
-    The path of the mesh is relative to ``home``. ``refine`` divides the size of the elements. The
+    The path of the mesh is relative to ``home``. The key ``refine`` divides the element size. The
     elements of a ``.msh`` file are split until each edge is at most 1/refine of its original
     length.
 
     Raises
     ------
-    UsageError : a file that cannot be read; a group that is missing, empty, of the wrong
-        dimension, or used twice; elements without material; an electrode on a material that is
-        not piezoelectric.
+    UsageError : a file cannot be read; a group is missing, empty, of the wrong dimension, or used
+        twice; an element has no material; or an electrode is on a material that is not
+        piezoelectric.
     """
     keys = validate(BodyKeys, keys, where)
     with name_part_in_errors(where):
@@ -472,7 +476,7 @@ def device(
 def _read_polings(
     keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
-    """Read the axes of each element from the CSV files of the groups."""
+    """Return the material axes of each element, read from the CSV files of its group."""
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
@@ -515,13 +519,14 @@ def _make_solid(
 
 
 def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
-    """Rotate the material of a group to the axes or the poling of the group.
+    """Return the material of a group, rotated to the axes or the poling of the group.
 
-    In an axisymmetric body, a poling that is not parallel to the axis rotates with the angle.
+    In an axisymmetric body, a poling vector that is not parallel to the axis of revolution turns
+    with the angle about this axis.
 
     Raises
     ------
-    UsageError : an axis that differs from the axis of an axisymmetric mesh.
+    UsageError : the axis of cylindrical axes differs from the axis of an axisymmetric mesh.
     """
     if group in keys.axes:
         turned = keys.axes[group].apply(plain)
@@ -545,7 +550,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 
 
 def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
-    """Check that, on an axisymmetric mesh, cylindrical axes are about z through the origin."""
+    """Raise an error if cylindrical axes differ from the z axis of an axisymmetric mesh."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
         problem = "the axis of an axisymmetric mesh must be z through the origin"
         hint = "leave out axis and through, or z and origin"
@@ -600,7 +605,7 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
 
     Raises
     ------
-    UsageError : the group is inside the body.
+    UsageError : a face of the group is inside the body.
     """
     where = f"ports.{port.name}"
     facets = groups.group(str(port.group), where, 1).members
@@ -619,7 +624,7 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
 def _electrode_nodes(
     solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
-    """Return the nodes of an electrode, which must lie on a piezoelectric material."""
+    """Return the nodes of an electrode; raise an error unless it is on a piezoelectric material."""
     facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
@@ -653,7 +658,7 @@ def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: So
 
 
 def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
-    """Return the share (nodes,) of each node of a port's group in a unit force."""
+    """Return the fraction of a unit force on a port that acts on each node, an array (nodes,)."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
         point = np.array(port.at)[solid.axes]
@@ -679,14 +684,14 @@ class Body(MeshedBody[BodyKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         result: tuple[Port, ...] = part.keys.every_port
         return result
 
     def directions(
         self, part: Part[BodyKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the axes of the translations and accelerations of the ports."""
+        """Return the unit vector of each translational port, keyed by the pin of the port."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
             if keys.kind == "face":
@@ -701,13 +706,13 @@ class Body(MeshedBody[BodyKeys]):
         return result
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the mesh file and the files of poling directions."""
+        """Return the paths of the mesh file and of the CSV files with poling vectors."""
         _poling_paths(part, scene)
         mesh_path(part, scene)
         return (part.keys.mesh, *part.keys.poling_files.values())
 
     def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         try:
             _poling_paths(part, scene)
@@ -716,13 +721,13 @@ class Body(MeshedBody[BodyKeys]):
         yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
-        """Yield notes for the report: the bounding box of the mesh, then notes of all bodies."""
+        """Yield notes for the report: the size of the mesh, then the notes of every linear body."""
         sides = self.sides(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
 
     def sides(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
-        """Return the side lengths [m] of the bounding box of the mesh file."""
+        """Return the side lengths [m] of the bounding box of the mesh, read from its file."""
 
         def size() -> list[float]:
             with name_part_in_errors(part.name):
@@ -736,7 +741,7 @@ class Body(MeshedBody[BodyKeys]):
         return load_or_build("extent", key, size, sources=self.source_modules())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
-        """Return the outer box, from which the effects of air are estimated."""
+        """Return the bounding box of the mesh, from which the effects of air are estimated."""
         sides = self.sides(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
@@ -747,12 +752,12 @@ class Body(MeshedBody[BodyKeys]):
         return 2 if part.keys.axisymmetric else 3
 
     def describe_support(self, part: Part[BodyKeys]) -> str:
-        """Describe the support for the list of neglected effects."""
+        """Return a description of the support for the list of neglected effects."""
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
-        """Return the data that determine the full model, with hashes of its files."""
+        """Return the cache key of the full model, with hashes of mesh and poling files."""
         result = {**super().full_key(part, scene), "file": hash_file(mesh_path(part, scene))}
         for where, path in _poling_paths(part, scene).items():
             result[where] = hash_file(path)
@@ -761,7 +766,7 @@ class Body(MeshedBody[BodyKeys]):
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the mesh of the body, then the figures of all bodies."""
+        """Yield the figure of the mesh, then the figures that every meshed body has."""
         curve = load_or_build(
             "outline",
             self.full_key(part, build.scene),
@@ -775,12 +780,12 @@ class Body(MeshedBody[BodyKeys]):
         yield from super().figures(part, build, waves)
 
     def make(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
-        """Return the finite-element model of the mesh file."""
+        """Build the finite-element model on the mesh from the user's file."""
         return device(part.keys, scene.home, part.name)
 
 
 def _poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
-    """Return the CSV files of polings by their key in the scene."""
+    """Return the paths of the CSV files with poling vectors, by their key in the scene."""
     result = {}
     for group, file in part.keys.poling_files.items():
         where = f"{part.name}.poling.{group}"

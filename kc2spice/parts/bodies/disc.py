@@ -6,10 +6,11 @@
     ]
     support = "free"                            # clamped, simply_supported, { node = "13 mm" }
 
-Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode). Acoustic ports
-``front_face`` and ``back_face``: all surfaces that point upwards and downwards. Mechanical port
-``centre``: mean axial displacement of a small patch on top, upwards. Neglected: glue (unless it is
-a layer), silver, solder, wires and air.
+The electrical pins are ``anode``, ``cathode`` and, with a feedback electrode, ``feedback``. The
+acoustic ports are ``front_face`` with all surfaces that point upwards, and ``back_face`` with all
+surfaces that point downwards. The mechanical port ``centre`` is the mean upward displacement of a
+small patch on top. The model neglects silver, solder, wires and air; it includes glue only as a
+layer.
 """
 
 from __future__ import annotations
@@ -34,15 +35,15 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
-# number of cells along the largest radius, or along half the height, before refinement
+# number of mesh cells along the largest radius, or along half the height, before refinement
 _RADIAL_CELLS = 20
 
 
 class FeedbackKeys(Section):
     """Ring or disc of the top electrode that drives the input of a self-oscillating buzzer.
 
-    Data sheets show a tongue-shaped electrode. A ring of the same area represents the tongue,
-    because only the area matters.
+    The electrode in data sheets has the shape of a tongue. The model contains a ring of the same
+    area instead, because only the area matters.
     """
 
     inner: Length = Field(
@@ -55,9 +56,10 @@ class FeedbackKeys(Section):
 
 
 class DiscLayer(Section):
-    """One circular layer.
+    """Circular layer of a disc.
 
-    ``electrodes`` is the diameter of the electrodes on faces that touch no metal layer.
+    ``electrodes`` is the diameter of the electrodes on those faces of the layer that touch no metal
+    layer.
     """
 
     material: str | dict[str, Any] = Field(
@@ -68,7 +70,7 @@ class DiscLayer(Section):
     electrodes: Length | None = Field(
         None,
         gt=0,
-        description="Diameter of the electrodes of the layer; by default the diameter of the layer",
+        description="Diameter of the layer's electrodes; by default the diameter of the layer",
     )
     feedback: FeedbackKeys | None = None
     poling: Literal["up", "down"] = Field(
@@ -108,7 +110,7 @@ class DiscLayer(Section):
 
 
 class Node(Section):
-    """Support on a knife-edge ring under the body."""
+    """Support of a disc on a knife-edge ring under it."""
 
     node: Length = Field(gt=0, description="Diameter of the circle on which the disc rests")
 
@@ -164,11 +166,11 @@ class DiscKeys(FieldKeys):
 
 
 def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
-    """Return the bonded layers with electrodes, support and ports.
+    """Return the bonded layers of a disc with electrodes, support and ports.
 
     Raises
     ------
-    UsageError : a key is wrong, or names electrodes or supports beyond the body.
+    UsageError : a key is invalid, or an electrode or support does not fit the layers.
     """
     disc = validate(DiscKeys, keys, where)
     pieces = _make_blocks(disc, where)
@@ -197,12 +199,12 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
 
 
 def _make_ring(inner: float, outer: float, height: float) -> Box:
-    """Return a circular ring, as a face at a height."""
+    """Return a horizontal circular ring between two radii at ``height``."""
     return (inner, outer), (height, height)
 
 
 def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
-    """Return the blocks of all layers."""
+    """Return a block with the poled material of each layer, from the bottom up."""
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
@@ -229,7 +231,10 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
 
 
 def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
-    """Return the faces of each electrode in order of height; a metal layer is one electrode."""
+    """Return the faces of each electrode, lowest electrode first.
+
+    A metal layer forms one electrode with all faces that it touches.
+    """
     result: list[list[Box]] = []
     last_metal: int | None = None
     heights = [0.0, *(piece.box[1][1] for piece in pieces)]
@@ -256,7 +261,10 @@ def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[l
 def _electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Return the faces of an electrode on bare ceramic, without the feedback ring and its gaps."""
+    """Return the faces of an electrode that touches no metal layer.
+
+    The feedback ring and its gaps are cut out of the electrode.
+    """
     layers = [disc.layers[k] for k in ceramic]
     diameters = {layer.electrode_diameter for layer in layers}
     if len(diameters) > 1 and all(layer.electrodes for layer in layers):
@@ -276,7 +284,7 @@ def _electrode_faces(
 
 
 def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
-    """Return the faces or points of the support with their fixed axes."""
+    """Return the supported faces or circles, each with the axes along which it is fixed."""
     if disc.support == "free":
         return []
     if isinstance(disc.support, Node):
@@ -300,7 +308,7 @@ class Disc(BondedBody[DiscKeys]):
     structure = staticmethod(disc_body)
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
-        """Describe the support for the list of neglected effects."""
+        """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def devices_on_rings(
@@ -310,7 +318,7 @@ class Disc(BondedBody[DiscKeys]):
         node: float | None,
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
-        """Return models on rings of other diameters."""
+        """Return full models of the disc on supporting rings of changed diameter [m]."""
         keys, faces = part.keys, self.sounding(part, scene).faces
         diameters = {"free": node, "simply_supported": keys.largest_diameter, "clamped": None}
         support = keys.support
@@ -326,7 +334,7 @@ class Disc(BondedBody[DiscKeys]):
         return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
-        """Return whether the rim of the disc is supported."""
+        """Return whether the disc is supported, so that its rim counts as clamped."""
         return part.keys.support != "free"
 
 

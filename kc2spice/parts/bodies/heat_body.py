@@ -1,4 +1,4 @@
-"""The part ``heat_body``: a body that conducts and stores heat, with pins of temperature.
+"""The part ``heat_body``: a body that conducts and stores heat, with thermal pins.
 
 The geometry is a mesh or CAD file with groups, as for the part ``body``, or a list of layers::
 
@@ -21,7 +21,7 @@ The geometry is a mesh or CAD file with groups, as for the part ``body``, or a l
     sources = { junction = "top" }
     isothermal = { case = "bottom" }
 
-Temperatures are rises over the pin ``ambient``.
+Temperatures are differences from the temperature of the pin ``ambient``.
 """
 
 from __future__ import annotations
@@ -93,29 +93,29 @@ from kc2spice.scene.parttype import find_current_into, register
 from kc2spice.synthesis.heat import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # number of elements through each layer
-# Ratio of the tolerance relative to the largest temperature of a pin to the tolerance at each
-# frequency.
+# Factor on the tolerance if the error is relative to the largest temperature of a pin, and not to
+# its temperature at each frequency.
 PEAK_TOLERANCE_SHARE = 0.01
-IMPEDANCE_FREQUENCIES = 300
-# end of the default band, as a multiple of 1 / (duration of the run)
+IMPEDANCE_FREQUENCIES = 300  # number of time points of a plotted thermal impedance
+# Upper end of the default band, multiplied by the duration of the run.
 RUN_POINTS = 1e3
 
 ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
 class HeatGeometry:
-    """Solid of a body, with lookups of its groups by name and kind."""
+    """Meshed solid of a heat body, with functions that find its groups by name."""
 
     def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
         self.solid = solid
         self._group = group
 
     def faces(self, name: str, where: str) -> np.ndarray:
-        """Return the faces of a group."""
+        """Return the facet numbers of the group ``name``, which must be a group of faces."""
         return self._group(name, where, 1).members
 
     def shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
-        """Return the share (nodes,) of each node in the heat of a source."""
+        """Return the fraction of a source's heat that enters each node, an array (nodes,)."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
@@ -127,13 +127,13 @@ class HeatGeometry:
 
 
 def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
-    """Read or make the mesh, name its groups, and assemble the model.
+    """Read or create the mesh with its groups, and assemble the heat model of the body.
 
     Raises
     ------
-    UsageError : a file that cannot be read; a group that is missing, empty, or of the wrong
-        dimension; elements without a material or with two materials; faces with two prescribed
-        temperatures; materials that do not touch at an interface.
+    UsageError : a file cannot be read; a group is missing, empty, or of the wrong dimension; an
+        element has no material or two materials; a face has two prescribed temperatures; or two
+        materials do not touch at their interface.
     """
     with name_part_in_errors(where):
         if keys.layers:
@@ -178,7 +178,10 @@ def _make_setup(
 def _read_solid(
     keys: HeatBodyKeys, home: Path
 ) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
-    """Read the mesh, with double nodes at its interfaces."""
+    """Read the mesh, and duplicate the nodes at its interfaces.
+
+    The second returned value contains the facets and the thermal resistance of each interface.
+    """
     groups = read_groups(keys, home, keys.splits)
     owner = assign_materials(keys.materials, groups)
     materials = []
@@ -211,7 +214,10 @@ def _read_solid(
 
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
-    """Return a line mesh through the layers, from the bottom up, with double nodes at joints."""
+    """Create a one-dimensional mesh of the layers, with double nodes at joints with a resistance.
+
+    The second returned value contains the facet and the thermal resistance of each joint.
+    """
     layers, count = keys.layers[::-1], LAYER_ELEMENTS * keys.refine
     thickness = np.array([layer.thickness for layer in layers])
     bottoms = np.concatenate([[0.0], np.cumsum(thickness)])
@@ -227,7 +233,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             problem = "nothing is below the last layer"
             raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        area = layers[owner[int(mesh.f2t[0, facet[0]])]].area  # that the matrices assume
+        area = layers[owner[int(mesh.f2t[0, facet[0]])]].area  # area that the matrices contain
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
         solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
@@ -287,18 +293,18 @@ dc = "1 W"
 """
 
     def ports(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         return part.keys.every_port
 
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the mesh file; a stack of layers has none."""
+        """Return the path of the mesh file; empty for a stack of layers."""
         if part.keys.mesh is None:
             return ()
         mesh_path(part, scene)
         return (part.keys.mesh,)
 
     def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         yield from find_field_problems(part, scene, shapes=False)
         if part.keys.mesh is not None:
@@ -307,7 +313,10 @@ dc = "1 W"
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow: to the pin ``ambient``, or between other pins."""
+        """Return the pairs of pins between which heat flows in steady state.
+
+        Without a path to the pin ``ambient`` inside the body, heat flows between its other pins.
+        """
         rest = super().equilibrium_conditions(part, scene)
         if part.keys.leads_away:
             return rest
@@ -317,11 +326,15 @@ dc = "1 W"
     def equilibrium_with_model(
         self, part: Part[HeatBodyKeys], build: Build
     ) -> EquilibriumConditions:
-        """Return the paths of heat, which are the same with and without the built model."""
+        """Return the paths of steady heat flow, which do not depend on the built model."""
         return build.scene.records[part.name].rest
 
     def default_band_end(self, scene: Scene) -> float:
-        """Return :data:`RUN_POINTS` divided by the duration of the run: heat has no resonance."""
+        """Return the upper end [Hz] of the default band of a transient.
+
+        It is :data:`RUN_POINTS` divided by the duration of the run, because a heat body has no
+        resonance.
+        """
         return RUN_POINTS / scene.stop
 
     def limit_band(
@@ -330,32 +343,32 @@ dc = "1 W"
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Limit a default band to the highest frequency that the mesh resolves."""
+        """Return the band; a default band ends at the highest frequency that the mesh resolves."""
         low, high = band
         if key["limited"]:
             high = min(high, full().facts[MESH_LIMIT_NAME])
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
-        """Return the data that determine the reduced model, as a key of the cache."""
+        """Return the cache key of the reduced model, with the kind of its band."""
         chosen = self._stated_reduction(part, scene) is None and not scene.analysis.is_small_signal
         return {**super().model_key(part, scene), "limited": chosen}
 
     def dimensions(self, part: Part[HeatBodyKeys]) -> int:
-        """Return the number of dimensions of the heat flow, 1 for layers."""
+        """Return the number of dimensions of the heat flow; it is 1 in layers."""
         if part.keys.layers:
             return 1
         return 2 if part.keys.axisymmetric else 3
 
     def full_key(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Mapping[str, Any]:
-        """Return the data that determine the full model, with a hash of the mesh file."""
+        """Return the cache key of the full model, with a hash of the mesh file."""
         result = dict(super().full_key(part, scene))
         if part.keys.mesh is not None:
             result["file"] = hash_file(mesh_path(part, scene))
         return result
 
     def device(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
-        """Return the full model with its mesh, from the workspace if it is the latest one."""
+        """Return the full heat model, from the workspace if that contains the model."""
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
 
         def make() -> HeatModel:
@@ -364,7 +377,7 @@ dc = "1 W"
         return scene.workspace.get_or_compute(f"device {self.name}", key, make)
 
     def full(self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """Return the full model of the mesh or of the layers."""
+        """Return the matrices of the full heat model with its ports."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
@@ -375,11 +388,11 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the model with prescribed temperatures of isothermal faces and behind films.
+        """Reduce the model so that its error also holds for prescribed temperatures.
 
-        At high frequencies, the temperature of a pin behind thick insulation is so small that
-        rounding errors exceed the tolerance. The error is then relative to the largest temperature
-        of each pin.
+        Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
+        the temperature of a pin behind thick insulation is so small that rounding errors exceed the
+        tolerance. The tolerance is then relative to the largest temperature of each pin.
         """
         prescribed_ports = self.prescribed_ports(part, model)
         tolerance = aims["tolerance"]
@@ -391,12 +404,12 @@ dc = "1 W"
         return _reduce_with_peak_fallback(part, aims["norm"], reduce)
 
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
-        """Return the ports with prescribed temperatures: isothermal faces, and fluids of films."""
+        """Return the names of the ports of isothermal faces and of the fluids behind films."""
         known = _list_prescribed_names(part)
         return [*filter(known.__contains__, names_of(model.ports))]
 
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
-        """Reduce the models over ranges of films and other keys.
+        """Return a reduced model over the ranges of film coefficients and other keys.
 
         The prescribed temperatures and the norm are the same as in :meth:`reduce_body`.
         """
@@ -412,7 +425,10 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Return the model, with thermal resistances as functions of netlist parameters."""
+        """Return the model; with parameter ranges, its thermal resistances are recomputed.
+
+        They are then the static resistances of the model at the key values of the part.
+        """
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
             return model
@@ -426,7 +442,7 @@ dc = "1 W"
     def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the results of the ports, keyed by result name.
 
-        A port that is joined to one part also has the heat flow as a result.
+        For a port that is connected to a single part, the heat flow into the port is also a result.
         """
         result = dict(super().vectors(part, build))
         for port in self.used_ports(part, build.scene):
@@ -453,14 +469,15 @@ dc = "1 W"
     def checks(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
 
     def figures(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield temperatures over time, the thermal impedance, and the temperature field."""
+        """Yield plots of temperatures versus time, the thermal impedance, and the temperature
+        field."""
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
         field = self.temperatures(part, build, waves)
@@ -480,7 +497,8 @@ dc = "1 W"
     def temperatures(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> TemperatureField | None:
-        """Return the temperatures inside the body, None without the key ``fields``.
+        """Return the temperature field inside the body versus time; None without the key
+        ``fields``.
 
         Raises
         ------
@@ -503,13 +521,13 @@ dc = "1 W"
             heat = self.device(part, build.scene)
             return waves, recover_temperatures(heat, waves["time"], flows)
 
-        # The identity of ``waves`` is a valid key while the stored result contains a reference to
-        # ``waves``.
+        # The stored result contains a reference to ``waves``, so no other object can get the same
+        # ``id``, which is part of the key.
         kind = f"temperatures of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
     def list_neglected_effects(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
-        """Yield the neglected effects: temperature-dependent materials, and lateral heat flow."""
+        """Yield the neglected effects, such as materials that depend on temperature."""
         yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")
@@ -520,16 +538,18 @@ dc = "1 W"
 
 
 def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
-    """Return the names of isothermal faces and of the fluids of films."""
+    """Return the names of the pins of isothermal faces and of the fluids behind films."""
     return {*part.keys.isothermal, *part.keys.film_pins}
 
 
 def _reduce_with_peak_fallback(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
-    """Reduce in a norm; if this fails, reduce relative to the largest temperature of each pin.
+    """Return a model reduced with the error norm ``norm``, or with the norm ``peak``.
 
-    ``reduce(norm, share)`` reduces the model to ``share`` times the tolerance.
+    The norm ``peak`` is used if the reduction fails with ``norm``. Its error is relative to the
+    largest temperature of each pin. ``reduce(norm, share)`` reduces the model to ``share`` times
+    the tolerance.
     """
     try:
         return reduce(norm, 1.0)
@@ -557,7 +577,10 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 
 def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
-    """Yield the plot of ``Zth(t)``: the temperature rise of each port for a step of 1 W into it."""
+    """Yield the plot of the thermal impedance ``Zth(t)`` of each port.
+
+    ``Zth(t)`` is the temperature rise of a port after a heat flow of 1 W into it starts.
+    """
     modes = compute_heat_modes(model)
     times = modes.resistance * modes.capacity
     moving = times[(times > 0) & (times < 1 / LEAK_RATE)]
@@ -578,14 +601,17 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
 def _draw_field(
     figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
 ) -> Iterator[Figure]:
-    """Yield a picture of the temperature rises (nodes,) [K] on the surface, or over the height."""
+    """Yield a picture of the nodal temperature rises [K] on the surface, or versus the height.
+
+    ``rises`` has the shape (nodes,). The plot versus the height is for a stack of layers.
+    """
     geometry = heat.solid.geometry
     mesh, title = geometry.mesh, f"Temperatures in {name}"
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        # The curve is drawn for each element, because the temperature jumps at a joint with a
-        # resistance.
+        # The curve contains the nodes of each element separately, because the temperature jumps at
+        # a joint with a resistance.
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
         nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)

@@ -1,9 +1,10 @@
-"""The part ``langevin``: masses, ceramic rings of alternating poling, and a central bolt.
+"""The part ``langevin``: a bolted ultrasonic transducer with two masses and ceramic rings.
 
-Touching pieces are bonded. The bolt is bonded to both masses along its thread, but not to the
-rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
-``back``: mean axial displacement of the end faces, upwards, towards the front. Neglected: the
-effect of the preload on the ceramic, contact compliance, and the metal of the electrodes.
+The poling of the rings alternates. Touching pieces are bonded. The bolt is bonded to both masses
+along its thread, but not to the rings. The electrical pins are ``anode`` and ``cathode``; the
+masses belong to the cathode. The mechanical ports ``front`` and ``back`` are the mean axial
+displacements of the end faces, positive towards the front. The model neglects the effect of the
+preload on the ceramic, contact compliance, and the metal of the electrodes.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
 
-_RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
+_RADIAL_CELLS = 8  # number of mesh cells along the largest radius before refinement
 
 
 class PieceKeys(Section):
-    """Keys that all pieces of the transducer have."""
+    """Keys common to all pieces of the transducer."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'], description="Material of the piece, a name or a table"
@@ -53,14 +54,14 @@ class PieceKeys(Section):
 
 
 class CylinderKeys(PieceKeys):
-    """One cylindrical step of a front or back mass."""
+    """Cylindrical section of the front or back mass."""
 
     diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
     length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
 
 
 class Rings(PieceKeys):
-    """Stack of ``count`` equal rings; an even ``count`` makes both masses cathodes."""
+    """Stack of equal ceramic rings; with an even ``count``, both masses belong to the cathode."""
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
@@ -87,7 +88,8 @@ class Rings(PieceKeys):
 class BoltKeys(PieceKeys):
     """Bolt along the axis, which passes through the back mass and ends in the front mass.
 
-    ``depth`` is the depth in the front mass. A head of the bolt is at the end of the back mass.
+    ``depth`` is the length of the bolt inside the front mass. The head of the bolt, if it has one,
+    is at the free end of the back mass.
     """
 
     diameter: Width = Field(gt=0, description="Diameter of the shank of the bolt")
@@ -117,7 +119,7 @@ class BoltKeys(PieceKeys):
 
 
 class LangevinKeys(FieldKeys):
-    """Keys of a bolted transducer; the lists of masses begin at the rings."""
+    """Keys of a bolted transducer; the lists ``front`` and ``back`` begin at the rings."""
 
     front: tuple[CylinderKeys, ...] = Field(
         examples=['[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]'],
@@ -164,11 +166,11 @@ class LangevinKeys(FieldKeys):
 
 
 def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> BondedBlocks:
-    """Make the masses, rings and bolt with electrodes, support and ports.
+    """Return the masses, rings and bolt of a transducer with electrodes, support and ports.
 
     Raises
     ------
-    UsageError : a key is wrong, or the parts do not fit into one another.
+    UsageError : a key is invalid, or the pieces do not fit into one another.
     """
     body = validate(LangevinKeys, keys, where)
     pieces, rings = _make_blocks(body, where), body.rings
@@ -197,13 +199,14 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
 
 
 def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
-    """Return the rings from z = 0 upwards, the masses above and below them, and the bolt."""
+    """Return the blocks of the rings, which begin at z = 0, of both masses, and of the bolt."""
     result: list[Block] = []
 
     def add(
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
-        """Add a piece to the list of blocks."""
+        """Add a block between the heights ``low`` and ``high``; ``up`` is the sign of its
+        poling."""
         one = material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
         poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
@@ -265,11 +268,11 @@ stop = "100 kHz"
     structure = staticmethod(langevin_body)
 
     def describe_support(self, part: Part[LangevinKeys]) -> str:
-        """Describe the support for the list of neglected effects."""
+        """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
     def list_neglected_effects(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
-        """Yield the neglected effects: preload of the bolt, and compliance of the joints."""
+        """Yield the neglected effects, such as the preload of the bolt."""
         yield from super().list_neglected_effects(part, scene)
         why = "pieces are bonded and free of stress at rest"
         yield Neglected(

@@ -1,4 +1,4 @@
-"""The part ``matrices``: a linear model from files of another program, with named ports."""
+"""The part ``matrices``: a linear model with named ports from another program's matrix files."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-LINE_HEIGHT = 0.02  # drawn height of a mesh whose nodes lie on one line, relative to its width
+LINE_HEIGHT = 0.02  # smallest drawn height of a mesh, relative to its width
 
 
 class MatricesKeys(LinearKeys):
-    """Matrix files beside the scene; the TOML file of the matrices names the ports."""
+    """Keys of a model from matrix files; a TOML file beside these files describes the ports."""
 
     file: FileName = Field(
         examples=['"FILE"'],
@@ -49,15 +49,16 @@ class Matrices(LinearBody[MatricesKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         return self._read_model(part, scene).ports
 
     def directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the port directions that the sidecar states by ``dof`` or ``axis``.
+        """Return the direction of each translational port, keyed by its pin.
 
-        A port that is a column of B has no direction.
+        The TOML file states the direction by ``dof`` or ``axis``. A port that is a column of the
+        input matrix B has no direction.
         """
         *_, sidecar = locate_model(*self._find_paths(part, scene))
         result = {}
@@ -69,24 +70,24 @@ class Matrices(LinearBody[MatricesKeys]):
         return result
 
     def full_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
-        """Return the data that determine the full model, with hashes of the matrix files."""
+        """Return the cache key of the full model, with hashes of the matrix files."""
         return {**super().full_key(part, scene), "files": self._hash_files(part, scene)}
 
     def _hash_files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
-        """Return a hash of the content of each matrix file."""
+        """Return a hash of the content of each matrix file, keyed by its path."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the matrix files and their sidecar, relative to the scene."""
+        """Return the paths of the matrix files and of their TOML file, relative to the scene."""
         result = list_source_files(*self._find_paths(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
     def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """Return the full model from the matrix files."""
+        """Return the full model, which the matrix files contain."""
         return self._read_model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
-        """Yield the side view of the box of the mesh, if the TOML file names a mesh."""
+        """Yield the side view of the mesh's bounding box, if the TOML file names a mesh."""
         size = measure_mesh_extent(*self._find_paths(part, scene))
         if size is None or not size[:2].any():
             return
@@ -95,13 +96,13 @@ class Matrices(LinearBody[MatricesKeys]):
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _read_model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
-        """Return the model from the matrix files of a part."""
+        """Read the model from the matrix files of the part."""
         return _read_model_files(*self._find_paths(part, scene), str(self._hash_files(part, scene)))
 
     def _find_paths(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> tuple[Path, Path | None]:
-        """Return the path of the matrices, and of their TOML file."""
+        """Return the path of the matrix file, and of its TOML file if the key states one."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
             None
@@ -113,7 +114,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
-    """Read a model from its files; ``stamps`` are hashes of the files, for the cache of results."""
+    """Read a model from its files; ``stamps`` contains their hashes, as a key of the cache."""
     return read_model(path, sidecar)
 
 

@@ -1,4 +1,4 @@
-"""The part ``piezo_stack``: a finite-element model of a chip with contact rings."""
+"""The part ``piezo_stack``: a finite-element model of a piezoelectric chip with contact rings."""
 
 from __future__ import annotations
 
@@ -44,27 +44,27 @@ from kc2spice.scene.plausible import check_range
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
-# The modules of meshes and solvers are imported at first use, because most runs read models from
-# the cache.
+# The modules with meshes and solvers are imported at first use, because most runs read their models
+# from the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped import FiniteElementModel
 
-DAMPING_FREQUENCY = 250e3  # Hz, frequency at which the paper's chip has a damping ratio of 1 %
-# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring through a kick, so that the errors
-# of time steps add up. With the reltol for a damping ratio of 1 %, launch velocities of chips with
-# 0.01 to 0.1 % have errors up to 2.6e-4.
+DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damping ratio of 1 %
+# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick, so that the
+# errors of time steps add up. With the value of reltol for a damping ratio of 1 %, chips with a
+# damping ratio of 0.01 to 0.1 % have errors of the launch velocity up to 2.6e-4.
 RINGING = 4e-3
-UNDAMPED = 2e-4
-# Factor on reltol, with which kicks of 40 to 60 V are as accurate as kicks of 100 V.
+UNDAMPED = 2e-4  # damping ratio below which reltol is not reduced further
+# Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
-# Factor on reltol for a kick downwards: the chip leaves the sphere, rings, and strikes the sphere
-# at a phase to which the errors of all steps contribute. For -100 V, the error is 1.2e-2 at reltol
-# 1e-4, 6e-4 at 1e-6, and 1.1e-4 at 1e-7.
+# Factor on reltol for a downward kick. The chip leaves the sphere, rings, and strikes the sphere at
+# a phase to which the errors of all time steps contribute. For -100 V, the relative error of the
+# launch velocity is 1.2e-2 at a reltol of 1e-4, 6e-4 at 1e-6, and 1.1e-4 at 1e-7.
 DOWNWARDS = 2e-3
-SLOWER = 0.1
-OVERSHOOT = 2.0  # a sudden load causes twice the static displacement of an elastic body
-MAX_TIME_STEP = 10e-6  # s, time step that resolves a kick, its contact and the flight after it
+SLOWER = 0.1  # speed of a downward kick, relative to an upward kick
+OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudden load
+MAX_TIME_STEP = 10e-6  # time step [s] that resolves a kick, its contact and the flight after it
 
 
 DRIVER_TYPES = {  # part types, keyed by the values of the key driver
@@ -78,16 +78,18 @@ MOUNTING_TEXTS = {  # descriptions of the values of the key mounting
     "glued": "bottom face glued down, u = 0",
     "free": "nothing holds its bottom face",
 }
-PAPER_ORDER = 30
-# Keys that determine the finite-element model; pulse, driver and electrical boundary only affect
-# the circuit.
+PAPER_ORDER = 30  # number of states of the reduced model in the paper
+# Keys that determine the finite-element model; the other keys, such as ``drive``, only affect the circuit.
 CHIP_KEYS = set(Chip.model_fields)
-# Keys that have no effect on the model of the paper's chip.
+# Keys whose values do not decide whether a chip counts as the paper's chip.
 FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class KickPulse(Section):
-    """Kick pulse that rises from ``start`` within ``edge``; ``width`` refers to half height."""
+    """Kick pulse that begins to rise at ``start`` and has the edge time ``edge``.
+
+    ``width`` is its width at half height.
+    """
 
     voltage: Voltage = Field(100.0, description="Voltage of the pulse")
     width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
@@ -110,7 +112,8 @@ class KickPulse(Section):
 
 
 class Stack(Chip, FieldKeys):
-    """Piezoelectric chip actuator, with an internal drive if no part is joined to the anode."""
+    """Piezoelectric chip actuator, with its own drive if no other part is connected to the
+    anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
@@ -134,7 +137,7 @@ class Stack(Chip, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Add the drive of the paper to a chip, unless the scene applies unit loads."""
+        """Add the kick pulse of the paper to a chip in a short scene, unless it is harmonic."""
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
             return data
@@ -172,7 +175,7 @@ class PiezoStack(MeshedBody[Stack]):
     def expand(
         self, part: Part[Stack], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the source and the driver that the keys of the stack describe."""
+        """Return the tables of the source and the driver that the keys of the stack describe."""
         keys: Stack = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -195,7 +198,7 @@ class PiezoStack(MeshedBody[Stack]):
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         names = ring_names(part.keys.mesh.rings + 1)
         if pressure_nodes(part, scene) is not None:
             names = [PATCH_PORT]
@@ -203,14 +206,15 @@ class PiezoStack(MeshedBody[Stack]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the anode, and all rings up to the last ring that the scene needs."""
+        """Return the ports of the anode, and of all rings up to the last ring that the scene
+        needs."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
         return (*ring_ports[: count_used_rings(part, scene)], anode)
 
     def problems(self, part: Part[Stack], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
@@ -248,7 +252,7 @@ class PiezoStack(MeshedBody[Stack]):
     def surface(
         self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the contact rings or the pressure nodes of the top face."""
+        """Return the surface under a contact: the contact rings, or the pressure patch, on top."""
         if part.keys.poling == "x":
             problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
             raise part.wrong(
@@ -277,11 +281,12 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield tighter tolerances, because the trapezoidal rule's phase error grows with ringing.
+        """Yield tighter solver tolerances for chips that ring, and for low kicks.
 
-        A low kick closes fewer contact rings, and its launch depends more on every time step. From
-        40 to 60 V, the relative error at one setting is ten times the error at 100 V. The error is
-        proportional to reltol^0.55.
+        Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage closes
+        fewer contact rings, so its launch velocity depends more on each time step. At 40 to 60 V,
+        the relative error of the launch velocity is ten times the error at 100 V with the same
+        tolerances. This error is proportional to reltol^0.55.
         """
         if not scene.list_parts("contact"):
             return
@@ -289,8 +294,9 @@ class PiezoStack(MeshedBody[Stack]):
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # Parts other than sources at the anode can slow down a kick. Behind an amplifier of 5
-            # A, the launch velocity is 0.67 m/s, with an error of 1.5e-3 at the settings for 1 m/s.
+            # Parts other than sources at the anode can slow down a kick. With an amplifier of 5 A,
+            # the launch velocity is 0.67 m/s. At the tolerances for 1 m/s, its relative error is
+            # 1.5e-3.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _retracts_first(part):
@@ -300,11 +306,15 @@ class PiezoStack(MeshedBody[Stack]):
         yield Numerics(what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the modes; after a low kick, a ringing chip hits the sphere."""
+        """Return the weights of the modes in step control; a downward kick has its own weights.
+
+        After a downward kick, the chip rings until it hits the sphere.
+        """
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
-        """Yield the largest free stroke, which limits the indentation of a contact."""
+        """Yield the largest dynamic stroke of the free chip, which limits a contact's
+        indentation."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
@@ -319,15 +329,16 @@ class PiezoStack(MeshedBody[Stack]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[Stack]) -> str:
-        """Return the first line of the library, with the mounting."""
+        """Return the first line of the chip's library, which names its mounting."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def rated_by_material(self, part: Part[Stack]) -> float:
-        """Return the voltage limit of the material [V]."""
+        """Return the voltage rating [V] that follows from the rated field and the layer
+        thickness."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
-        """Return the data that determine the full model: chip, rated field, pressure nodes."""
+        """Return the cache key of the full model, with chip, rated field and pressure nodes."""
         shape, chip = (
             pressure_nodes(part, scene),
             part.keys.model_dump(mode="json", include=CHIP_KEYS),
@@ -336,10 +347,11 @@ class PiezoStack(MeshedBody[Stack]):
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
     def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
-        """Return the stated reduction, or a default.
+        """Return the reduction settings that the scene states, or default settings.
 
-        For the paper's chip, the default is the order in the paper. For other stacks, the default
-        is a tolerance over a band whose upper end is proportional to the reciprocal of the height.
+        For the paper's chip, the default is the number of states in the paper. For other stacks,
+        the default is a tolerance in a band whose upper end is inversely proportional to the height
+        of the stack.
         """
         specified = part.keys.rom or scene.rom
         if not specified.is_default:
@@ -366,11 +378,11 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def describe_support(self, part: Part[Stack]) -> str:
-        """Describe the support for the list of neglected effects."""
+        """Return a description of the support for the list of neglected effects."""
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
-        """Return the finite-element model of the stack."""
+        """Build the finite-element model of the stack."""
         from kc2spice.bodies.stack import make_stack
 
         shape = pressure_nodes(part, scene)
@@ -387,7 +399,7 @@ class PiezoStack(MeshedBody[Stack]):
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = pressure_nodes(part, build.scene), build.scene
-        # The mesh of the chip does not resolve these fields.
+        # The mesh of the chip does not resolve the stress under the contact.
         if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, compute_stresses_under_force
 
@@ -409,7 +421,7 @@ class PiezoStack(MeshedBody[Stack]):
         return result
 
     def indentation_modulus(self, part: Part[Stack]) -> float:
-        """Return the modulus of the half-space under the contact [Pa]."""
+        """Return the indentation modulus [Pa] of the top cap, or of the ceramic without a cap."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else material(stated, "top_cap.material")
@@ -442,10 +454,11 @@ class PiezoStack(MeshedBody[Stack]):
 
 
 def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
-    """Return the speed [m/s] of a kick: free stroke divided by ``4 H / c``.
+    """Return the speed [m/s] of the chip's top face in a kick; None without a voltage.
 
-    H is the height and c is the speed of sound. A longer edge of the pulse replaces ``4 H / c``.
-    The result is None without a voltage.
+    The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
+    the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, it is used
+    instead.
     """
     voltage = highest_voltage(part, scene)
     if not voltage:
@@ -459,13 +472,13 @@ def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
 
 
 def _retracts_first(part: Part[Stack]) -> bool:
-    """Return whether the pulse moves the top face down before the face rises."""
+    """Return whether the pulse has a negative voltage, which first moves the top face down."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
 
 def describe_mounting(keys: Chip) -> str:
-    """Describe the support of the bottom face and other deviations from the plain stack."""
+    """Return a description of the support, and of caps, springs or other additions to a stack."""
     words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
@@ -482,9 +495,10 @@ def describe_mounting(keys: Chip) -> str:
 
 
 def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
-    """Return the pressure basis on the top face; None if no contact uses pressure.
+    """Return the basis functions for the contact pressure on the top face of the chip.
 
-    The basis is as wide as the rings.
+    Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
+    the largest contact ring.
     """
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
@@ -495,15 +509,15 @@ def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | N
 
 
 def ring_radii(keys: Chip) -> np.ndarray:
-    """Return the radii [m] of the chip's rings, beginning with ring0, the centre node."""
+    """Return the radii [m] of the contact rings; the first ring ``ring0`` is the centre node."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
 def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
-    """Return the number of rings that are ports, beginning with ring0.
+    """Return the number of contact rings that are ports, counted from ``ring0``.
 
-    Another part or a probe needs the last of these rings. All rings are ports if the stack is the
-    only part.
+    The last of these rings is the outermost ring that another part or a probe uses. If the stack is
+    the only part, all rings are ports.
     """
     if len(scene.parts) == 1 or scene.ports == "all":
         return 1 + int(part.keys.mesh.rings)
@@ -517,7 +531,7 @@ def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
 
 
 def ring_names(count: int) -> list[str]:
-    """Return the names of ``count`` rings, the centre node first."""
+    """Return the port names of the first ``count`` contact rings, from the centre outwards."""
     return list(map("ring{}".format, range(count)))
 
 
@@ -535,7 +549,7 @@ def _ring_number(part: Part[Stack], name: str) -> int:
 
 
 def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
-    """Return the largest voltage [V] of the drive; 0 if the anode is not driven."""
+    """Return the largest voltage [V] that the drive of the anode can have; 0 without a drive."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
@@ -549,16 +563,16 @@ def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
 
 
 def free_stroke(keys: Chip, voltage: float) -> float:
-    """Return the static stroke [m] of the free stack, ``layers |d voltage|``, ``d = e C^-1``.
+    """Return the static stroke [m] of a stack without load, ``layers |d voltage|``.
 
-    The constant d is d33, or d15 if the stack deforms in shear.
+    The piezoelectric constant d is d33, or d15 if the stack deforms in shear.
     """
     axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
 def _find_compliance(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
-    """Return the local compliance of a stack: compute it, or read it from the cache."""
+    """Return the local compliance of the top face under pressure, from the cache if possible."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})

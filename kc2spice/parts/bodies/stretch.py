@@ -1,17 +1,18 @@
-"""Stretching force of beams and plates with fixed edges, which bending lengthens and stiffens.
+"""Stretching force of beams and plates with fixed edges, which stiffens them in large bending.
 
-For a beam of length l with fixed ends, ``e = int w'^2 dx / 2`` is the elongation by bending, and
-``stiffness e^2 / 2 + tension e`` is its energy: stiffness = E A / l (S. D. Senturia, Microsystem
-Design, 2001, chapter 10). The deflection is given by its means w_k over a row of equal strips of
-width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12
-d)``, which is exact for cubics. Beyond a clamp, w is the mirror image of w before the clamp.
+Bending with the deflection w(x) elongates a beam of length l with fixed ends by ``e = int w'^2 dx /
+2``. The energy of this elongation is ``stiffness e^2 / 2 + tension e`` with stiffness = E A / l (S.
+D. Senturia, Microsystem Design, 2001, chapter 10). The model contains the mean deflections w_k of
+equal strips of width d in a row from clamp to clamp. The slope between the strips k and k+1 is
+``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact for cubics. Beyond a clamp, w
+is the mirror image of w before the clamp.
 
-For a plate clamped along all edges, with rows of patches as its face, the same energy holds with
-``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger,
-J. Appl. Mech. 22 (1955) 465, who neglects the second invariant of the strains in the plane. The
-squares of means lack a twelfth of the squared differences between rows. At a mirror plane, w is
-even, as at a clamp. A model of a quarter of a plate therefore uses length, width and stiffness of
-the quarter.
+For a plate clamped along all edges, whose face is divided into rows of patches, the same energy
+holds with ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)). The
+source is H. M. Berger, J. Appl. Mech. 22 (1955) 465, who neglects the second invariant of the
+in-plane strains. The square of a mean slope lacks a twelfth of the squared differences between
+rows, which the formula adds. At a mirror plane, w is even, as at a clamp. A model of a quarter of a
+plate therefore uses length, width and stiffness of the quarter.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from kc2spice.scene.parttype import register
 class StretchKeys(Section):
     """Keys of the stretching force of a body.
 
-    ``a`` is a beam with a row of patches, clamped at both ends, or a list of at least three ports.
-    ``a`` can also be a plate clamped along all edges, with ``rows`` of patches, one row after the
-    other.
+    ``a`` is the name of a beam that is clamped at both ends and has a row of patches, or a list of
+    at least three ports. ``a`` can also be a plate that is clamped along all edges. The plate has
+    ``rows`` rows of patches, numbered row by row.
     """
 
     a: str | tuple[str, ...] = Field(
@@ -62,14 +63,14 @@ class StretchKeys(Section):
 
 
 class Stretch(PatchedPart[StretchKeys]):
-    """Part type ``stretch``, whose keys determine the number of branches."""
+    """Part type ``stretch``; the number of its branches is the number of patches."""
 
     def make_declaration(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         return _declare(len(patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         keys, count = part.keys, len(patch_ports(part, scene))
         if count % keys.rows:
             problem = "the number of patches is not a multiple of the number of rows"
@@ -91,22 +92,22 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare(count: int, rows: int) -> Declaration:
-    """Declare the stretching of a body with ``count`` patches in ``rows`` rows."""
+    """Return the declaration of the stretching energy for ``count`` patches in ``rows`` rows."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
-        """Return the index of a patch, mirrored at a clamp."""
+        """Return the index of a patch; an index beyond a clamp is mirrored at the clamp."""
         if k < 1:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
     def w(i: int, j: int) -> str:
-        """Return the mean deflection of a patch, mirrored at the clamps."""
+        """Return the symbol of a patch's mean deflection; beyond a clamp, w is mirrored."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
     def slope(i: int, j: int, di: int, dj: int) -> str:
-        """Return the slope between two patches."""
+        """Return the squared slope between two neighbouring patches, times ``(12 d)^2``."""
         before, low, high, after = (w(i + k * di, j + k * dj) for k in (-1, 0, 1, 2))
         return f"(15*({high} - {low}) - ({after} - {before}))^2"
 

@@ -11,9 +11,9 @@ from kc2spice.core.quantities import Current, Length, Section, Time, si
 
 
 class Control(Section):
-    """PID controller with limited output: opposite currents of equal size in both coils.
+    """Keys of a PID controller with limited output, see section 2.4 of the paper.
 
-    See section 2.4 of the paper.
+    The controller drives opposite currents of equal magnitude through both coils.
     """
 
     setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere")
@@ -52,6 +52,6 @@ class Control(Section):
 
     @property
     def switching_times(self) -> tuple[tuple[float, float], ...]:
-        """Return the switching times [s] and the state after each one: 1 enabled, 0 disabled."""
+        """Pairs of switching time [s] and following state: 1 if enabled, 0 if disabled."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
         return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

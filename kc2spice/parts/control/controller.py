@@ -1,7 +1,8 @@
-"""Controller that is a Python function of sampled inputs.
+"""The part ``controller``: a Python function of sampled inputs.
 
-The output of the controller is constant between the samples. The function is defined in a file
-beside the scene, which runs only with ``--trust``. A Python program may pass the function instead:
+The output of the controller is constant between the samples. The function is defined in a Python
+file beside the scene. A run executes this file only with ``--trust``. A Python program may pass the
+function instead:
 ``kc.run(scene, functions={"NAME": function})``. A run that is repeated with other settings reads
 the file again, or calls the passed function again from time 0 on.
 """
@@ -40,7 +41,7 @@ class ControllerKeys(Section):
     """Keys of a sampled controller, ``function(time, inputs) -> output`` in SI units.
 
     The function is called once in each ``period``. ``output`` is a voltage [V], or a current [A]
-    out of the pin ``out``. The output changes at the time ``delay`` after the sample.
+    out of the pin ``out``. The output changes at a time ``delay`` after each sample.
     """
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
@@ -98,7 +99,7 @@ wiring = "parallel"
         return (*inputs, *ends)
 
     def problems(self, part: Part[ControllerKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
@@ -137,7 +138,7 @@ wiring = "parallel"
     def inner_names(
         self, part: Part[ControllerKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the name of the node with the sampled output."""
+        """Yield the name of the node whose voltage is the sampled output current."""
         yield part.name.lower(), "held"
 
     def law(self, part: Part[ControllerKeys], build: Build) -> MissingEquations:
@@ -156,7 +157,7 @@ wiring = "parallel"
             sources[name] = build.net(part, name), build.across(part, name).factor
 
         def load() -> Callable[[float, Mapping[str, float]], float]:
-            """Return the function of time and node voltages."""
+            """Return a function of time and node voltages that calls the user's function."""
             function = build.functions.get(part.name) or self._load_function(part, build)
 
             def call(time: float, values: Mapping[str, float]) -> float:
@@ -170,7 +171,7 @@ wiring = "parallel"
         }
 
     def _load_function(self, part: Part[ControllerKeys], build: Build) -> Function:
-        """Return the Python function of the controller."""
+        """Load the Python function of the controller from its file."""
         keys = part.keys
         if keys.file is None:
             expected = (

@@ -1,4 +1,4 @@
-"""PID controller of the sphere's height: ideal equations or op-amps (paper 2.4)."""
+"""PID controller of a sphere's height, as ideal equations or as an op-amp circuit (paper 2.4)."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from kc2spice.scene.parttype import register
 from kc2spice.synthesis.header import render_library
 
 SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
-SENSE_RESISTANCE = 100.0  # Ohm; the voltage is 10 V at the paper's current limit of 0.1 A
-# V, largest command of the output stage, far below the supply voltage of the signal amplifiers
+SENSE_RESISTANCE = 100.0  # Ohm; its voltage is 10 V at the paper's current limit of 0.1 A
+# largest command voltage [V] of the output stage, far below the supply of the signal amplifiers
 MAX_COMMAND = 10.0
 SUPPLY_VOLTAGE = 400.0  # V, supply of the output stage; higher if the coils require it
 SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output
 ENABLE_EDGE = 1e-8  # s, duration of the edges of the enabling signal
-DISCHARGE_TIME = 1e-6  # s, time constant in which the integral of a disabled controller decays
-# Largest fraction of the run during which the current may be at its limit, where the controller has
-# no effect.
+DISCHARGE_TIME = 1e-6  # s, time constant with which a disabled controller's integral decays
+# Largest fraction of the run during which the current may be at its limit. At the limit, the
+# controller has no effect.
 MAX_SATURATED_SHARE = 0.9
 
 
-# Gains that are parameters of the netlist. A gain of zero has no amplifier stage, so it is not a
-# parameter.
+# Gains that are parameters of the netlist, each with the gain that it requires. A gain of zero has
+# no amplifier stage, so it is not a parameter.
 GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
@@ -63,7 +63,7 @@ GAIN_PARAMETERS = (
 
 
 def _list_pins(output: bool) -> tuple[Terminal, ...]:
-    """Return the pins of a controller with an output stage, or of a controller of a driver."""
+    """Return the pins of a controller; without ``output`` stage, it commands a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),
@@ -74,13 +74,14 @@ def _list_pins(output: bool) -> tuple[Terminal, ...]:
 
 
 def declare_control(control: Control, *, output: bool = True) -> Declaration:
-    """Declare the law of the controller.
+    """Return the declaration of the ideal controller.
 
-    The current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)``
-    between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor voltage. Without
-    ``output``, the result is a voltage at ``command``, 100 V for each ampere. The integral is
-    constant while the current is limited. Integral and current are zero until ``enable`` is 1 V. A
-    gain of zero has no term and no parameter.
+    The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
+    +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
+    voltage. Without ``output``, the controller has a voltage at ``command`` instead, 100 V for each
+    ampere. The integral is constant while the current is at its limit. Integral and current are
+    zero until the voltage at ``enable`` is 1 V. A gain of zero has no term in the equation and no
+    parameter.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -144,11 +145,12 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
 
-    The inputs are the height ``y`` and ``enable``. The output stage measures its current with a
-    resistor of at most 100 Ohm, whose voltage is 10 V at the current limit, within the rails. The
-    supply voltage is a multiple of 100 V. It drives the current limit through the ``load`` [Ohm] of
-    the coils, with a margin for changes of the current. Without the output stage, the output of the
-    controller is ``command``, with 100 V for each ampere of the set current.
+    Its inputs are the height ``y`` and ``enable``. The output stage measures the coil current with
+    a resistor of at most 100 Ohm. Its voltage at the current limit is at most 10 V, within the
+    rails. The supply voltage of the output stage is a multiple of 100 V. It can drive the limit
+    current through the resistance ``load`` [Ohm] of the coils, with a margin for changes of the
+    current. Without the output stage, the output of the controller is the voltage at ``command``,
+    with 100 V for each ampere of the set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":
@@ -211,7 +213,7 @@ class Pid(PartType[Control]):
         return _list_pins(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
-        """Join the inputs to the controlled sphere, and the output to the coils."""
+        """Return the default connections: input to the controlled sphere, output to the coils."""
         ball = sphere.controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):
@@ -220,7 +222,7 @@ class Pid(PartType[Control]):
         return joins
 
     def problems(self, part: Part[Control], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         keys, coils = part.keys, _find_driven_coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
@@ -276,7 +278,7 @@ class Pid(PartType[Control]):
         return result
 
     def law(self, part: Part[Control], build: Build) -> laws.Equations | laws.MissingEquations:
-        """Return the ideal law, from which a circuit with amplifiers deviates."""
+        """Return the equations of the ideal controller, from which an op-amp circuit deviates."""
         keys, n, scene = part.keys, part.name, build.scene
         if build.net(part, "ref") != "0":
             return laws.MissingEquations("its pin ref is not connected to ground")
@@ -310,7 +312,7 @@ class Pid(PartType[Control]):
         }
 
     def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         current = waves.data.get(
             f"{result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
         )
@@ -336,21 +338,21 @@ def _find_driven_coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]
 
 
 def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
-    """Return whether the output is the pin ``command``, and another circuit drives the coils."""
+    """Return whether another circuit, which the pin ``command`` controls, drives the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_find_driven_coils(part, scene).keys.driver)
 
 
 def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
-    """Return the time average over the last twentieth of the run."""
+    """Return the time average of ``values`` over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
 
 
 def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Return the time of the last entry of ``y`` into ``target`` ± ``band``.
+    """Return the time at which ``y`` enters the band ``target`` ± ``band`` for the last time.
 
-    The result is None if the last value is outside the band.
+    Return None if the last value of ``y`` is outside this band.
     """
     outside = np.abs(y - target) > band
     if outside[-1]:

@@ -1,4 +1,4 @@
-"""Position sensor with bandwidth, offset and noise, between a height and a controller."""
+"""The part ``sensor``: a position sensor with bandwidth, offset and noise for a controller."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 
-VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, voltage of a displacement pin for one metre
+VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, pin voltage that represents one metre
 
 
 class SensorKeys(Section):
@@ -52,7 +52,10 @@ class SensorKeys(Section):
 
 
 def sensor_declaration(keys: SensorKeys) -> Declaration:
-    """Declare the noise-free output: the position, filtered by one pole, plus the offset."""
+    """Return the declaration of the noise-free sensor.
+
+    Its output is the position, filtered by a first-order low-pass filter, plus the offset.
+    """
     return Declaration(
         "sensor",
         "position sensor",
@@ -100,7 +103,7 @@ dc = "1 um"
         )
 
     def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "the noise of a sensor does not apply to this analysis"
@@ -120,8 +123,8 @@ dc = "1 um"
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
-            # White noise up to the bandwidth, as a multiple of the noise voltage of a resistor of 1
-            # Ohm.
+            # The white noise up to the bandwidth is a multiple of the noise voltage of a resistor
+            # of 1 Ohm.
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise of 1 Ohm at 27 C times a gain",
@@ -139,7 +142,7 @@ dc = "1 um"
         return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
-        """Return the state of the sensor at t = 0, the initial height of the measured sphere."""
+        """Return the initial state of the sensor, which is the height of the measured sphere."""
         start = sphere.initial_height(part, "of", build.scene)
         if start is None:
             return {}
@@ -150,7 +153,7 @@ dc = "1 um"
         return {f"{part.name}.y": build.across(part, "out")}
 
     def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         if part.keys.noise:
             return laws.MissingEquations("its noise is a random waveform of the simulator")
         n, d = part.name, sensor_declaration(part.keys)

@@ -246,7 +246,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return result
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
 
         circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
@@ -277,7 +277,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return {} if z is None else impedance_metrics(waves["frequency"].real, z)
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         from kc2spice.parts.bodies._linear_body import compute_impedance
         from kc2spice.parts.bodies._pictures import IMPEDANCE_CAPTION, plot_impedances
 

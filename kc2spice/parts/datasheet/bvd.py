@@ -163,7 +163,7 @@ stop = "10 kHz"
 """
 
     def problems(self, part: Part[BvdKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         circuit = self.circuit(part, scene)
         if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
             yield part.wrong(

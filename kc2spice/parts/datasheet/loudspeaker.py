@@ -264,7 +264,7 @@ stop = "1 kHz"
         return result
 
     def law(self, part: Part[LoudspeakerKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
         if f"{n}.{COIL}" in results:
@@ -273,7 +273,7 @@ stop = "1 kHz"
         return replace(equations, results=results)
 
     def checks(self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         yield from super().checks(part, build, waves)
         limit, x = part.keys.xmax, waves.data.get(f"{part.name}.x")
         if limit is not None and x is not None:
@@ -309,7 +309,7 @@ stop = "1 kHz"
     def figures(
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         result = self._compute_impedances(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."

@@ -184,7 +184,7 @@ pins = { a = "relay.com", b = "gnd" }
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         if keys.contact_resistance >= keys.insulation_resistance:

@@ -224,7 +224,7 @@ class Driver(TemplatePart[KeysT]):
         """Declare the circuit of the driver's netlist with these parameters."""
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         if build.has_noise:
             return laws.MissingEquations("its equations do not include noise")
         if build.net(part, "ref") != "0":

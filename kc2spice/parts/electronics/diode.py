@@ -73,7 +73,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return params, {}
 
     def law(self, part: Part[DiodeKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
         flow = junction.flows[0].pin

@@ -137,7 +137,7 @@ class Netlist(PartType[NetlistKeys]):
         return {"command": f"{control.name}.command"}
 
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         pins = _read_pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in PIN_KINDS:
@@ -234,7 +234,7 @@ class Netlist(PartType[NetlistKeys]):
         return result
 
     def checks(self, part: Part[NetlistKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         for pin, rating in part.keys.ratings.items():
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
             if volts is None or "time" not in waves:

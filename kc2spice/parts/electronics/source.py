@@ -355,7 +355,7 @@ class Source(PartType[SourceKeys]):
         yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)

@@ -205,7 +205,7 @@ class Gap(PatchedPart[GapKeys]):
         return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         keys, ports = part.keys, patch_ports(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"

@@ -79,7 +79,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         find_loaded_body(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
@@ -187,7 +187,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         f = waves["frequency"].real / 1e3
         rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)

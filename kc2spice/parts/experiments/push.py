@@ -74,7 +74,7 @@ class Push(TouchablePart[PushKeys]):
         return {find_sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         ball = find_sphere(part, scene)
         _find_contact(part, scene)  # raises the error of a missing sphere
         if part.keys.depth >= ball.keys.radius:
@@ -127,7 +127,7 @@ class Push(TouchablePart[PushKeys]):
         }
 
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
         # At the first depths, one basis function carries the contact, which the law does not
         # resolve. All errors are therefore relative to the largest force. Against the full model,
@@ -142,7 +142,7 @@ class Push(TouchablePart[PushKeys]):
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, is_main=True)
 
     def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n = part.name
         source = laws.IdealSource(n, "displacement", constant_waveform(0.0))
         results = {f"{n}.depth": laws.scale_wave(f"{n}.out", -1.0)}

@@ -54,7 +54,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         return ()
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         find_sphere(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
@@ -106,7 +106,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         }
 
     def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         gates, ball = build.scene.gates, find_sphere(part, build.scene).name
         pair = _touching.single_pair(build.scene)
         law = pair.basis_error() if pair else 0.0

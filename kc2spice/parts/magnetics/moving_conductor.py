@@ -263,7 +263,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return declare_moving_body(part, build.model(part, LoopModel))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys = part.keys
         if keys.y_min >= keys.y_max:
@@ -379,7 +379,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def checks(
         self, part: Part[MovingT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         result = build.model(part, LoopModel)
         loops, limit = result.rates.size, part.keys.tolerance
         what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
@@ -406,7 +406,7 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)

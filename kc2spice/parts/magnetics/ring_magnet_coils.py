@@ -238,7 +238,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from refuse_conductor_keys(part, scene)
         keys, name, ball = part.keys, part.name, find_sphere(part, scene)
         radius = ball.keys.radius
@@ -403,7 +403,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
         prefix, apart = result_prefix(part), has_real_coils(part, scene)
         stated, ends = (
@@ -479,7 +479,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def checks(
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
@@ -532,7 +532,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def figures(
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         prefix = result_prefix(part)
         currents = _coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):

@@ -134,7 +134,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Numerics(what, highest_frequency=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         pair = make_pair(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
@@ -200,7 +200,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def checks(
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks of a run."""
+        """Yield the checks of the part after a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
         if "time" in waves and not pair.has_initial_velocity:
             steps = motion_error_limit(build.scene.solver)
@@ -222,7 +222,7 @@ class Contact(DeclaredPart[ContactKeys]):
             yield from _check_depth(pair, waves, place)
 
     def figures(self, part: Part[ContactKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
@@ -244,7 +244,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}

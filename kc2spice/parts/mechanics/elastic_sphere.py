@@ -72,11 +72,11 @@ elastic = true
         return 2
 
     def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model."""
+        """Return the ports of the model of the part."""
         return (Port(SPHERE_PATCH, TRANSLATION.port),)
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         _contact(part, scene)  # this call raises the errors of impossible contacts
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)

@@ -137,7 +137,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         )
 
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "position and velocity of a mass need a transient analysis"
             got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'

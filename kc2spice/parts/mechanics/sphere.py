@@ -189,7 +189,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield an error for each invalid key of the part."""
         bodies = [body.name for body in scene.bodies]
         if bodies and not scene.list_parts("contact") and scene.analysis.type == "transient":
             yield UsageError(
@@ -317,7 +317,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         yield Balance(entries, abs(float(gap[-1])), turnover, MAX_WORK_ERROR, advice)
 
     def figures(self, part: Part[SphereKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the report."""
+        """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
@@ -344,7 +344,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return begin.height, begin.velocity
 
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the model equations of the part."""
         n, result = part.name, super().law(part, build)
         height = laws.scale_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"
