@@ -1,4 +1,4 @@
-"""Frequency band in which acoustic networks hold, from the analysis of a scene."""
+"""Frequency band for which acoustic networks are fitted, derived from the analysis of a scene."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import GovernedScene
 
-AUDIO_END = 20e3  # Hz, end of the band if the sources have no highest frequency
+AUDIO_END = 20e3  # Hz, upper end of the band if the sources have no highest frequency
 DECADES = 1e4  # largest ratio of the highest to the lowest frequency of a band
 
 
 class AcousticBand(NamedTuple):
-    """Lowest and highest frequency [Hz]."""
+    """Lowest and highest frequency [Hz] for which an acoustic network is fitted."""
 
     low: float
     high: float

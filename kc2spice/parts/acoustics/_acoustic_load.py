@@ -1,9 +1,10 @@
 """Acoustic parts behind the faces of a body: their impedance, and the sound that they radiate.
 
-:func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. The
-nodal equations ``Y p = U`` of their elements, with admittances ``1 / (j omega M)``, ``1 / R`` and
-``j omega C``, give the pressures that unit volume velocities cause. The pressure on a part of type
-``radiation``, and the volume velocity through this part, determine its far field.
+:func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. Their
+elements are acoustic masses M, resistances R and compliances C with the admittances ``1 / (j omega
+M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the admittance matrix Y give
+the pressures p that unit volume velocities U cause. The pressure on a part of type ``radiation``,
+and the volume velocity through this part, determine its far field.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from kc2spice.parts.acoustics._acoustic_part import COMPLIANCE, MASS, AcousticPa
 from kc2spice.parts.acoustics.radiation import FACE, FarField, RadiationKeys, find_far_field
 from kc2spice.scene.model import Part, Scene
 
-GROUND = "0"  # node of the netlist
+GROUND = "0"  # name of the ground node in a netlist
 MAX_DENSE_NODES = 60  # number of nodes above which a sparse solver is used
-# Exponent of j omega in the admittance of an element; a resistance has none.
+# Exponent of j omega in the admittance of an element; the exponent of a resistance is 0.
 ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
 
 
 @dataclass(frozen=True)
 class LoadBranch:
-    """Element between two nodes: ``(j omega)^power * value`` is its admittance in SI."""
+    """Acoustic element between two nodes, with the admittance ``(j omega)^power * value`` in SI."""
 
     plus: str
     minus: str
@@ -39,9 +40,9 @@ class LoadBranch:
 
 @dataclass(frozen=True)
 class SoundSource:
-    """Radiating surface at a node, and the branches through which its volume velocity flows.
+    """Radiating surface at a node, with the branches that carry its volume velocity.
 
-    ``branches`` contains pairs of a branch number and a sign.
+    ``branches`` contains pairs of a branch number and the sign of the branch's volume velocity.
     """
 
     node: str
@@ -51,10 +52,10 @@ class SoundSource:
 
 @dataclass(frozen=True)
 class AcousticLoad:
-    """Acoustic elements behind faces of a body; ``faces`` are the nets of these faces.
+    """Acoustic elements in front of the faces of a body, which load these faces.
 
-    ``complete`` is False if a part that is not an :class:`AcousticPart` is also joined, such as a
-    loudspeaker.
+    ``faces`` contains the nets of the faces. ``complete`` is False if another kind of part, such as
+    a loudspeaker, is also connected to the acoustic elements.
     """
 
     faces: tuple[str, ...]
@@ -63,17 +64,17 @@ class AcousticLoad:
     complete: bool
 
     def record(self) -> dict[str, Any]:
-        """Return the data that determine the load, as part of a key of the cache."""
+        """Return the data that determine the load, for the key of a cached model."""
         branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
 
     def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return impedances [Pa s/m3] and sound pressures [Pa s/m3] per unit volume velocity.
+        """Return impedances and sound pressures, both per unit volume velocity [Pa s/m3].
 
-        The impedances (frequencies, faces, faces) are the pressures at the faces. The sound
-        pressures (frequencies, faces) are the pressures at a listener at the reference distance
-        from all sources.
+        The impedances are the pressures at the faces, an array of shape (frequencies, faces,
+        faces). The sound pressures are the pressures at a listener at the reference distance from
+        all sources, an array of shape (frequencies, faces).
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}
@@ -106,7 +107,10 @@ class AcousticLoad:
 
 
 def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Solve ``A diag(y) A' p = push`` for each row y of admittances; A is the incidence matrix."""
+    """Return the node pressures p of ``A diag(y) A' p = push`` for each row y of admittances.
+
+    A is the incidence matrix of the network, and ``push`` contains unit volume velocities.
+    """
     if A.shape[0] <= MAX_DENSE_NODES:
         dense = A.toarray()
         return np.asarray(np.linalg.solve((dense * admittances[:, None]) @ dense.T, push[None]))
@@ -118,7 +122,10 @@ def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray)
 
 
 def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
-    """Collect the acoustic parts that are joined to pins of a body, directly or behind others."""
+    """Return the load of all acoustic parts that are connected to the ``pins`` of a body.
+
+    Parts that are connected to these parts in turn are included.
+    """
     faces = tuple(scene.net(body, pin) for pin in pins)
     nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
     waiting = set(nets)
@@ -140,7 +147,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
 
 
 def _list_pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
-    """Return the pins on a net."""
+    """Return the pins that are connected to a net, each as part name and pin name."""
     return [key for key, other in scene.nets.items() if other == net]
 
 

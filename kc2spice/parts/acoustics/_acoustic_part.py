@@ -1,8 +1,9 @@
 """Acoustic parts as networks of acoustic masses, resistances and compliances.
 
-A part type states its elements between its pins and inner nodes as expressions of its parameters
-(:class:`AcousticNetwork`). Netlist, noise, results and the law of the independent integrator follow
-from this network, which is positive real because all elements are positive.
+A part type defines an :class:`AcousticNetwork`: elements between its pins and inner nodes, with
+values that are expressions of its parameters. Netlist, noise, results, and the equations of the
+independent integrator are derived from this network. The network is positive real, because all
+elements are positive.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ SCALES = {
     COMPLIANCE: ACOUSTIC.admittance,
 }
 RATING = "not checked; the equations are those of small amplitudes"
-METER = "Vflow"  # meter of the volume velocity into the first pin
+METER = "Vflow"  # name of the ammeter for the volume velocity into the first pin
 
 
 @dataclass(frozen=True)
 class AcousticElement:
-    """Element of a network between two nodes, with its value in SI as an expression.
+    """Element of an acoustic network between two nodes; its value in SI is an expression.
 
-    With ``leak``, a small conductance in parallel to a compliance defines the operating point of a
-    floating net.
+    With ``leak``, a compliance has a small conductance in parallel. The conductance defines the
+    operating point of a floating net.
     """
 
     kind: str
@@ -70,12 +71,12 @@ class AcousticElement:
 
     @property
     def card_name(self) -> str:
-        """Name of the card of the element."""
+        """Name of the element in the netlist."""
         return f"{ELEMENT_LETTERS[self.kind]}{self.name}"
 
     @cached_property
     def tree(self) -> Tree:
-        """Value as an expression tree."""
+        """Value of the element as an expression tree."""
         return parse_simplified(self.value, self.name)
 
 
@@ -84,9 +85,9 @@ class AcousticNetwork:
     """Acoustic elements of a part.
 
     ``params`` are the parameters of the subcircuit. ``constants`` are expressions of the parameters
-    and of earlier constants. ``entry`` is the node behind the meter of the first pin, and ``exits``
-    are the nodes behind the meters of further pins. ``validity`` describes the range of the network
-    and its error, for the header.
+    and of earlier constants. ``entry`` is the node behind the ammeter of the first pin. ``exits``
+    contains the nodes behind the ammeters of other pins, by pin. ``validity`` is a line of the
+    library header with the frequency range and the error of the network.
     """
 
     params: tuple[Param, ...]
@@ -98,21 +99,22 @@ class AcousticNetwork:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Values of parameters and constants."""
+        """Default values of the parameters, and values of the constants, by name."""
         result = {param.name: param.default for param in self.params}
         for name, text in self.constants.items():
             result[name] = float(evaluate_tree(parse_simplified(text, name), result))
         return result
 
     def value(self, item: AcousticElement) -> float:
-        """Return the value of an element in SI."""
+        """Return the value of an acoustic element in SI units."""
         return float(evaluate_tree(item.tree, self.values))
 
 
 class AcousticPart(PartType[FluidKeysT]):
-    """Part whose subcircuit is a network of acoustic elements.
+    """Part with a subcircuit that is a network of acoustic elements.
 
-    The first pin has a meter. The last conservative pin is the ambient pressure.
+    The first pin has an ammeter for its volume velocity. The last conservative pin is the ambient
+    pressure.
     """
 
     source = "closed form"
@@ -120,10 +122,10 @@ class AcousticPart(PartType[FluidKeysT]):
 
     @abstractmethod
     def network(self, part: Part[FluidKeysT], scene: GovernedScene) -> AcousticNetwork:
-        """Return the network of a part."""
+        """Return the acoustic network of the part."""
 
     def ends(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
-        """Return all pressure pins except ``ambient``; the first pin has a meter."""
+        """Return all pressure pins except ``ambient``; the first pin has an ammeter."""
         return ("a",)
 
     def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
@@ -131,7 +133,7 @@ class AcousticPart(PartType[FluidKeysT]):
         return ()
 
     def fluid_volume(self, part: Part[FluidKeysT]) -> float:
-        """Return the volume [m3] of fluid in front of a face; infinite if no wall is near."""
+        """Return the volume [m3] of fluid in front of a face; infinite for a part without walls."""
         return math.inf
 
     # --- pins and netlist -------------------------------------------------------------------------
@@ -146,7 +148,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pins between which the network passes a steady flow."""
+        """Return the pairs of pins between which a steady volume velocity can flow."""
         return EquilibriumConditions(self.paths(part))
 
     def subcircuits(
@@ -172,7 +174,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def _write_items(
         self, part: Part[FluidKeysT], network: AcousticNetwork, *, noisy: bool
     ) -> Iterator[Item | str]:
-        """Yield the cards of a network: constants, meter, elements, noise, and further cards."""
+        """Yield the cards of a network: constants, ammeter, elements, noise, and further cards."""
         for name, text in network.constants.items():
             yield Parameters({name: f"{{{text}}}"})
         yield "* volume velocity into the part"
@@ -182,7 +184,7 @@ class AcousticPart(PartType[FluidKeysT]):
         yield from self.further_cards(part)
 
     def further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
-        """Yield cards that follow the cards of the network."""
+        """Yield additional cards of the part, which follow the cards of its network."""
         return iter(())
 
     # --- results ----------------------------------------------------------------------------------
@@ -225,9 +227,9 @@ class AcousticPart(PartType[FluidKeysT]):
     def flows_into(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
-        """Return the volume velocities from a node into the elements at this node.
+        """Return the volume velocities from ``node`` into the elements at this node.
 
-        Each volume velocity is a sign and the name of the wave that contains it.
+        Each entry is a sign and the name of the waveform of an element's volume velocity.
         """
         result = []
         for item in network.elements:
@@ -238,9 +240,9 @@ class AcousticPart(PartType[FluidKeysT]):
 
 
 def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
-    """Yield the card of an element, its leak and its thermal noise.
+    """Yield the cards of an element, of its leak and of its thermal noise.
 
-    The noise of a resistance R is a volume velocity of the density ``4 k T / R``.
+    The noise of a resistance R is a volume velocity with the spectral density ``4 k T / R``.
     """
     scale, ends = SCALES[item.kind], (item.plus, item.minus)
     words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
@@ -260,7 +262,7 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
 
 
 def _scale_text(value: str, scale: float) -> str:
-    """Write a value times a scale: a number, or an expression in braces."""
+    """Return the text of ``value`` times ``scale``: a number, or an expression in braces."""
     try:
         return format_number(float(value) * scale)
     except ValueError:

@@ -1,17 +1,18 @@
 """Viscous and thermal boundary layers of ducts and cavities as sums of relaxations.
 
-A relaxation ``w / (p + q)`` of the normalised frequency ``q = j omega a^2 / nu`` is a branch of two
-positive elements. The length a is the radius of a circular duct, or the volume of a cavity divided
-by its surface. These functions are sums of relaxations with positive weights:
+A relaxation ``w / (p + q)`` with the weight w and the corner p is a function of the normalised
+frequency ``q = j omega a^2 / nu``. In a circuit, it is a branch of two positive elements. The
+length a is the radius of a circular duct, or the volume of a cavity divided by its surface. The
+following functions are sums of relaxations with positive weights:
 
     flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)
     heat(q)   = 1 - F(q)                                                   (thermal, duct)
     layer(q)  = tanh(z) / z                                                (thermal, cavity)
 
-nu is the kinematic viscosity, or the thermal diffusivity in the thermal functions (C. Zwikker and
+nu is the kinematic viscosity, or in the thermal functions the thermal diffusivity (C. Zwikker and
 C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall, Theory of Vibrating
-Systems and Sound, 1926, appendix A). Weights at spaced corners p are fitted over a band by
-non-negative least squares, so that every network is positive real.
+Systems and Sound, 1926, appendix A). For corners p at given distances, the weights are fitted over
+a frequency band by non-negative least squares. Every network is therefore positive real.
 """
 
 from __future__ import annotations
@@ -24,29 +25,29 @@ from typing import Literal
 import numpy as np
 
 BoundaryLayer = Literal["flow", "heat", "layer"]
-# lowest corner and value at q = 0 of each function; J0(2.4048) = 0
+# Lowest corner of each boundary-layer function; 2.4048 is the first zero of J0.
 LOWEST_CORNERS = {
     "flow": 2.404825557695773**2,
     "heat": 2.404825557695773**2,
     "layer": math.pi**2 / 4,
 }
-# Values and negative slopes of the functions at q = 0; for ``flow``, they are the sums of 4 / j^4
-# and of 4 / j^6 over the zeros j of J0.
+# Values and negative slopes of the boundary-layer functions at q = 0. For ``flow``, they are the
+# sums of 4 / j^4 and of 4 / j^6 over the zeros j of J0.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
 LAYER_START = 1e6  # |z| above which I1(z) and I0(z) differ by less than 1e-6
 SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
-SAMPLES_PER_DECADE = 12
+SAMPLES_PER_DECADE = 12  # number of frequencies of the fit in each decade
 BELOW, ABOVE = 6.0, 6.0  # ratios by which the corners extend below and above the band
-STATIC_WEIGHT = 0.1  # weight of value and slope at rest in the fit
+STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
 
 
 @dataclass(frozen=True)
 class RelaxationSum:
-    """Sum of relaxations ``w / (p + q)`` of a frequency q, with its errors over a frequency band.
+    """Sum of relaxations ``w / (p + q)`` that approximates a boundary-layer function.
 
-    ``loss_error`` is the largest relative error of the dissipation, and ``value_error`` is the
-    largest relative error of the magnitude.
+    ``terms`` contains pairs of corner p and weight w. ``value_error`` and ``loss_error`` are the
+    largest relative errors of the function and of its dissipation in the frequency band.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -55,7 +56,7 @@ class RelaxationSum:
 
 
 def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
-    """Evaluate the exact function of a boundary layer at normalised frequencies ``q`` (n,)."""
+    """Return the exact function of a boundary layer at the normalised frequencies ``q``."""
     from scipy.special import ive  # loads slowly
 
     z = np.sqrt(q)
@@ -67,7 +68,7 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
         heat = 2 * ratio / z
         result = heat if layer == "heat" else (1 - heat) / q
     # For small arguments, rounding errors dominate the difference 1 - heat. Two terms of the power
-    # series replace this difference.
+    # series of the function are used instead.
     slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
     return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
@@ -76,21 +77,21 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
 def fit_boundary_layer(
     layer: BoundaryLayer, low: float, high: float, per_decade: int
 ) -> RelaxationSum:
-    """Fit relaxations to the function of a boundary layer.
+    """Return a sum of relaxations, fitted to the function of a boundary layer.
 
     Parameters
     ----------
     layer : {"flow", "heat", "layer"}
         Function of the boundary layer.
     low, high : float
-        Band of the normalised frequency, omega a^2 / nu.
+        Ends of the band of the normalised frequency omega a^2 / nu.
     per_decade : int
-        Number of corners in each decade.
+        Number of corners of relaxations in each decade.
 
     Returns
     -------
     RelaxationSum
-        Corners and positive weights, and errors over the band.
+        Corners and positive weights of the relaxations, and their errors in the band.
 
     Examples
     --------
@@ -123,7 +124,7 @@ def fit_boundary_layer(
 
 
 def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
-    """Return corner frequencies, dense over the band and sparse below the band."""
+    """Return the normalised corners of the relaxations, dense in the band and sparse below it."""
     first, top = LOWEST_CORNERS[layer], ABOVE * high
     dense = max(first, low / BELOW)
     top = max(top, 10 * dense)
@@ -135,8 +136,8 @@ def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: in
 def _dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipative part of a boundary-layer function, which is linear in the weights.
 
-    This part is the real part of the admittance ``flow`` of a duct, or of the admittance ``q heat``
-    or ``q layer``.
+    This part is the real part of the admittance, which is ``flow`` for a duct's volume velocity,
+    and ``q heat`` or ``q layer`` for heat conduction.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
@@ -147,5 +148,5 @@ def _reaction(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
 
 
 def _power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipation at a constant volume velocity of a duct, or at a constant pressure."""
+    """Return the dissipation at a given volume velocity (``flow``) or pressure (other layers)."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

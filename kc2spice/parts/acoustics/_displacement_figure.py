@@ -1,7 +1,8 @@
 """Figure of the displacement of surfaces that radiate sound.
 
-The input is displacements [m]: amplitudes over frequency, or displacements over time. A volume
-velocity U gives the mean displacement ``int U dt / S`` of a surface S.
+The input contains displacements [m] of surfaces versus time, or their complex amplitudes versus
+frequency. The mean displacement of a surface with the area S and the volume velocity U is ``int U
+dt / S``.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from kc2spice.core.waveforms import SCALES, Waveforms
 
 # ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
 WIDE_RANGE = 20.0
-PLACE_DIGITS = 4  # digits of a frequency in a title
+PLACE_DIGITS = 4  # number of significant digits of a frequency in a title
 
 
 def integrate_flow(waves: Waveforms, flow: np.ndarray) -> np.ndarray:
-    """Return the volume that a volume velocity [m^3/s] displaces [m^3].
+    """Return the integral of a volume velocity [m^3/s], which is the displaced volume [m^3].
 
-    A frequency response is divided by ``j omega``. A wave over time is integrated by the
+    A frequency response is divided by ``j omega``. A waveform versus time is integrated by the
     trapezoidal rule from its first point on.
     """
     scale = waves.scale.real
@@ -40,10 +41,11 @@ def plot_displacements(
     caption: str,
     quantity: str = "displacement",
 ) -> Iterator[Figure]:
-    """Plot displacements [m] of surfaces of the part ``name`` over time or frequency.
+    """Plot displacements [m] of surfaces of the part ``name`` versus time or frequency.
 
-    ``displacements`` are keyed by the label of the surface. For a frequency response, the figure
-    shows the amplitude. The unit has the prefix of the largest displacement.
+    The dictionary ``displacements`` has the labels of the surfaces as keys. For a frequency
+    response, the figure shows the amplitude. The largest displacement determines the SI prefix of
+    the unit.
     """
     scale, x = next(iter(waves)), waves.scale.real
     if scale not in SCALES or x.size < 2:
@@ -67,6 +69,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the value of ``x`` at the largest of all ``sizes``, rounded to few digits."""
+    """Return the value of ``x`` at which one of the ``sizes`` is largest, rounded for a title."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

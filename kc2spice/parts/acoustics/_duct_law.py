@@ -1,8 +1,9 @@
-"""Law of a duct for the independent integrator: a chain of compliances, flows and relaxations.
+"""Equations of a duct for the independent integrator.
 
-Every node of the chain has a compliance C to the ambient pressure, unless it is a pin. Flows with
-mass m and resistance r connect the nodes. Thermal relaxations with the resistance R and the
-compliance c act at the nodes::
+The duct is a chain of nodes. Every node that is not a pin has a compliance C to the ambient
+pressure. Channels with the acoustic mass m, the resistance r and the volume velocity q connect the
+nodes. At the nodes, there are thermal relaxations with the resistance R, the compliance c and the
+inner pressure v::
 
     m dq/dt = p_start - p_end - r q
     C dp/dt = flows into the node - sum (p - v) / R
@@ -23,11 +24,11 @@ from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 
 @dataclass(frozen=True, eq=False)
 class DuctLaw(Device):
-    """Linear law of a duct.
+    """Linear equations of a duct with its channels and thermal relaxations.
 
     ``nodes`` maps each node to its compliance [m3/Pa]; the nodes ``ends`` are pins. ``channels``
-    are the flows: start, end, resistance [Pa s/m3] and mass [kg/m4]. ``walls`` are the thermal
-    relaxations: node, resistance and compliance.
+    contains start node, end node, resistance [Pa s/m3] and mass [kg/m4] of each channel. ``walls``
+    contains node, resistance [Pa s/m3] and compliance [m3/Pa] of each thermal relaxation.
     """
 
     name: str
@@ -47,54 +48,57 @@ class DuctLaw(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Pressures at the ends."""
+        """Pressure at each end of the duct, relative to the ambient pressure."""
         return tuple(AcrossInput(end, AMBIENT) for end in self.ends)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Volume velocities into the ends."""
+        """Volume velocity into each end of the duct."""
         return tuple(Flow(end, AMBIENT) for end in self.ends)
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
-        """Inner nodes: all nodes except the pins."""
+        """Names of the inner nodes, which are all nodes except the pins."""
         return tuple(node for node in self.nodes if node not in self.ends)
 
     @cached_property
     def charged(self) -> tuple[int, ...]:
-        """Indices of the ends with a compliance."""
+        """Indices of those ends of the duct whose node has a compliance."""
         return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Volume velocities, pressures of inner nodes, and pressures of relaxations."""
+        """Names of the states: channel volume velocities, then inner and relaxation pressures."""
         flows = map("q{}".format, range(len(self.channels)))
         walls = map("v{}".format, range(len(self.walls)))
         return (*flows, *map("p_{}".format, self.inner), *walls)
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Error scales of the states: 1e-9 m3/s and 1 mPa."""
+        """Absolute error scales of the states: 1e-9 m3/s for flows and 1 mPa for pressures."""
         pressures = len(self.inner) + len(self.walls)
         return (1e-9,) * len(self.channels) + (1e-3,) * pressures
 
     @cached_property
     def _stored(self) -> np.ndarray:
-        """Masses and compliances of the states."""
+        """Acoustic mass [kg/m4] or compliance [m3/Pa] of each state."""
         masses = [mass for *_, mass in self.channels]
         inner = [self.nodes[node] for node in self.inner]
         return np.array([*masses, *inner, *(size for *_, size in self.walls)])
 
     @cached_property
     def _columns(self) -> dict[str, int]:
-        """Column of the pressure of each node among the inputs."""
+        """Index of each node's pressure in the vector of end pressures and states."""
         first = len(self.ends) + len(self.channels)
         result = {end: k for k, end in enumerate(self.ends)}
         return result | {node: first + k for k, node in enumerate(self.inner)}
 
     @cached_property
     def _drop_matrix(self) -> np.ndarray:
-        """Matrix (drops, inputs) of the pressure drops along channels and across walls."""
+        """Matrix that gives the pressure drops along channels and across relaxation resistances.
+
+        It has a row for each drop, and a column for each end pressure and state.
+        """
         channels, walls = len(self.channels), len(self.walls)
         width = len(self.ends) + self._stored.size
         result = np.zeros((channels + walls, width))
@@ -108,7 +112,10 @@ class DuctLaw(Device):
 
     @cached_property
     def _flow_matrix(self) -> np.ndarray:
-        """Matrix (drops, inputs) of the volume velocities in channels and into walls."""
+        """Matrix that gives the volume velocities in channels and into relaxations.
+
+        Its rows and columns are those of the matrix of the pressure drops.
+        """
         channels, ends = len(self.channels), len(self.ends)
         result = np.zeros(self._drop_matrix.shape)
         result[:channels, ends : ends + channels] = np.eye(channels)
@@ -118,11 +125,11 @@ class DuctLaw(Device):
 
     @cached_property
     def _slope(self) -> np.ndarray:
-        """Derivative of the outputs (ends + states, inputs)."""
+        """Derivative of end flows and state equations with respect to end pressures and states."""
         ends, channels = len(self.ends), len(self.channels)
-        # pressure drops d = G p with the volume velocities q: the nodes receive -G' q
+        # The pressure drops are d = G p. With the volume velocities q, the nodes receive -G' q.
         result = -self._drop_matrix.T @ self._flow_matrix
-        result[:ends] *= -1.0  # into the part
+        result[:ends] *= -1.0  # sign of volume velocities into the part
         rows = slice(ends, ends + channels)
         result[rows] = self._drop_matrix[:channels]
         friction = np.array([resistance for *_, resistance, _ in self.channels])
@@ -130,12 +137,15 @@ class DuctLaw(Device):
         return result
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return flows and rates, with their derivatives."""
+        """Return the flows into the ends and the right-hand sides of the state equations.
+
+        The second returned value contains their derivatives.
+        """
         return self._slope @ e, self._slope
 
     @cached_property
     def _store_slope(self) -> np.ndarray:
-        """Derivative of the stored quantities (states + charged, inputs)."""
+        """Derivatives of stored impulses and volumes with respect to end pressures and states."""
         ends, count = len(self.ends), self._stored.size
         result = np.zeros((count + len(self.charged), ends + count))
         result[:count, ends:] = np.diag(self._stored)
@@ -144,12 +154,15 @@ class DuctLaw(Device):
         return result
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return pressure impulses and volumes, with their derivatives."""
+        """Return the stored pressure impulses and volumes, with their derivatives."""
         return self._store_slope @ e, self._store_slope
 
     @cached_property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices of the stored energy and of the lost power, as quadratic forms of the inputs."""
+        """Matrices of two quadratic forms: the stored energy and the lost power.
+
+        The forms are functions of the end pressures and states.
+        """
         ends = np.array([self.nodes[end] for end in self.ends])
         stored = np.diag(np.concatenate([ends, self._stored]) / 2)
         q = self._flow_matrix
@@ -158,7 +171,7 @@ class DuctLaw(Device):
         return stored, lost
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return noise pressures in series with channels, and noise flows parallel to walls."""
+        """Return noise pressures in series with channels, and noise flows into relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
         out = np.zeros((ends + self._stored.size, sources))

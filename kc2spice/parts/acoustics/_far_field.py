@@ -1,13 +1,15 @@
 """Far fields of radiating surfaces: low pass of the netlist, directivity and travel time.
 
-The input is the pressure on the axis at 1 m that a netlist computes, over frequency or time. The
-output is the pressure at an angle and a distance. A piston of the radius a in a baffle has
+The input is the pressure on the axis at 1 m that a netlist computes, versus frequency or time. The
+output is the pressure at an angle and a distance. A piston of the radius a in a baffle has the
+directivity D and the impulse response d
 
     D(omega) = 2 J1(omega w) / (omega w),          w = a sin(angle) / c
     d(t)     = 2 / (pi w) (1 - (t / w)^2)^1/2,     |t| < w
 
 at an angle from its axis (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4).
-d(t) is the inverse Fourier transform of D: the share of the surface whose sound arrives at t.
+d(t) is the inverse Fourier transform of D. It is the fraction of the surface, per unit time, whose
+sound arrives at the time t.
 """
 
 from __future__ import annotations
@@ -28,9 +30,9 @@ FIRST_NULL = 3.8317  # first zero of J1
 
 
 def baffled_radius(keys: RadiationKeys) -> float:
-    """Return the radius [m] of a piston in a baffle.
+    """Return the radius [m] of a piston in a baffle; 0 for other shapes.
 
-    Other shapes have no directivity, and the radius 0.
+    The radius determines the directivity, which other shapes do not have.
     """
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
@@ -44,13 +46,13 @@ def edge_delay(keys: RadiationKeys, angle: float) -> float:
 
 
 def first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
-    """Return the lowest frequency [Hz] of a null of the directivity, rounded."""
+    """Return the lowest frequency [Hz] at which the directivity is zero, rounded."""
     delay = max(edge_delay(keys, angle) for keys in surfaces)
     return float(f"{FIRST_NULL / (2 * math.pi * delay):.3g}")
 
 
 def travel_time(keys: RadiationKeys, distance: float) -> float:
-    """Return the travel time [s] of sound.
+    """Return the travel time [s] of sound from a surface to a distance [m] from its centre.
 
     A sphere radiates from its surface, and other shapes radiate from their centre.
     """
@@ -61,9 +63,10 @@ def travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the response [Pa] at a distance [m] and an angle, times distance / 1 m.
+    """Return the sound pressure response [Pa] at a listener, times distance / 1 m.
 
-    ``sound`` is the response (frequencies,) of the netlist, and includes its low pass.
+    The listener is at a distance [m] and an angle [degrees]. ``sound`` is the response of the
+    netlist including its low pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
     travel = np.exp(-s * travel_time(keys, distance)) / low_pass_response(s, keys.sound_corner)
@@ -73,10 +76,11 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the pressure [Pa] at a distance [m] and an angle over time, times distance / 1 m.
+    """Return the sound pressure [Pa] at a listener versus time, times distance / 1 m.
 
-    ``sound`` is the wave (points,) of the netlist. It is zero before the first point. The delay of
-    the low pass is subtracted from the travel time.
+    The listener is at a distance [m] and an angle [degrees]. ``sound`` is the waveform of the
+    netlist, an array of shape (points,). It is zero before the first point. The delay of the low
+    pass is subtracted from the travel time.
     """
     first = travel_time(keys, distance) - low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(edge_delay(keys, angle))
@@ -84,7 +88,10 @@ def propagate_wave(
 
 
 def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and delays [s] of d(t), by the Gauss-Chebyshev rule of the second kind."""
+    """Return weights and delays [s] that sample the impulse response d(t) of a piston.
+
+    They are the weights and points of the Gauss-Chebyshev rule of the second kind.
+    """
     if width == 0.0:
         return np.ones(1), np.zeros(1)
     angles = np.pi * np.arange(1, DELAYS + 1) / (DELAYS + 1)
@@ -92,7 +99,10 @@ def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
-    """Return the pressure at an angle [degrees] relative to the axis, 2 J1(x) / x."""
+    """Return the pressure at an angle [degrees], divided by the pressure on the axis.
+
+    The ratio is ``2 J1(x) / x`` for a piston in a baffle.
+    """
     delay = edge_delay(keys, angle)
     if not delay:
         return np.ones(frequency.size)

@@ -1,7 +1,7 @@
-"""Fluids of acoustic parts: built-in fluids with references for their constants, or tables.
+"""Fluids of acoustic parts, either built in with references, or given by a table of constants.
 
-The type :data:`Fluid` of a key accepts a name of :data:`LIBRARY` or a table. Parts read the
-resulting :class:`FluidTable`.
+A key of the type :data:`Fluid` accepts the name of a fluid in :data:`LIBRARY` or a table. Its value
+is a :class:`FluidTable`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
-# lower limits: a thousandth of the values of the thinnest gases
+# The lower limits of viscosity and conductivity are a thousandth of the values of the thinnest
+# gases.
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # Pa s
 SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)
 
@@ -104,14 +105,14 @@ class FluidTable(Section):
 
     @property
     def level_reference(self) -> float:
-        """Rms pressure [Pa] at 0 dB."""
+        """Rms pressure [Pa] of the sound pressure level 0 dB."""
         if self.reference_pressure is not None:
             return self.reference_pressure
         return GAS_REFERENCE if self.is_gas else LIQUID_REFERENCE
 
     @property
     def words(self) -> str:
-        """Density and speed of sound as text."""
+        """String with the density and the speed of sound of the fluid."""
         return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
 
 
@@ -141,7 +142,7 @@ LIBRARY: Mapping[str, FluidTable] = {
 
 
 def _read_fluid(value: Any) -> Any:
-    """Replace the name of a fluid by its constants."""
+    """Return the constants of a built-in fluid for its name; return other values unchanged."""
     if not isinstance(value, str):
         return value
     fluid = LIBRARY.get(value.lower())
@@ -155,13 +156,13 @@ def _read_fluid(value: Any) -> Any:
 Fluid = Annotated[FluidTable, BeforeValidator(_read_fluid)]
 
 
-# Sizes of acoustic parts: nanometres to kilometres
+# Limits of lengths and areas of acoustic parts, from nanometres to kilometres.
 SMALLEST_LENGTH, LARGEST_LENGTH = 1e-9, 1e4  # m
 SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # m2
 
 
 class FluidKeys(Section):
-    """Keys of every acoustic part."""
+    """Keys common to all acoustic parts."""
 
     fluid: Fluid = Field(
         "air",

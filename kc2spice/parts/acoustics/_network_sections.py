@@ -1,8 +1,8 @@
-"""Networks of radiation impedances, normalised to the size of the piston.
+"""Networks that approximate radiation impedances, normalised to the size of the piston.
 
-Resistances are relative to rho c / S, angular frequencies to c / a, with the radius a and the area
-S of the piston. A section without bandwidth is a resistance parallel to an inductance; the other
-sections are parallel resonators.
+The piston has the radius a and the area S. Resistances are relative to rho c / S, and angular
+frequencies are relative to c / a. A section without bandwidth is a resistance parallel to an
+inductance; a section with bandwidth is a parallel resonator.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class NetworkSection(NamedTuple):
-    """Section of a network, with a corner frequency or a resonance.
+    """Section of a radiation network, with a corner frequency or a resonance.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class NetworkSection(NamedTuple):
 
 
 class RadiationNetwork(NamedTuple):
-    """Series connection of sections, with its errors.
+    """Series connection of sections that approximates a radiation impedance, with its errors.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class RadiationNetwork(NamedTuple):
         Largest product k a for which the errors hold.
     impedance_error : float
         Largest relative error of the impedance.
-    power_error : float
-        Largest relative error of the resistance, which is the error of the radiated power.
+    power_error : float Largest relative error of the radiation resistance, which is the error of
+        the radiated power.
     """
 
     sections: tuple[NetworkSection, ...]

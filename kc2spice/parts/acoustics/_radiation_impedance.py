@@ -1,7 +1,7 @@
-"""Radiation impedances as networks: pistons in and without a baffle, pulsating sphere.
+"""Radiation impedances as networks: pistons with and without a baffle, and a pulsating sphere.
 
-With the radius a, the surface S and the wave number k, the impedance is pressure over volume
-velocity:
+The impedance is the pressure divided by the volume velocity. a is the radius, S the surface area
+and k the wave number:
 
     piston in a baffle   rho c / S (1 - J1(2 k a) / (k a) + j H1(2 k a) / (k a))
     open end of a tube   rho c / S (1 + R) / (1 - R), R of Levine and Schwinger
@@ -28,9 +28,10 @@ SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Radiator:
-    """Data of a radiator shape: network of its impedance, area, and solid angle of the far field.
+    """Properties of a radiator shape: network, area, and solid angle of the far field.
 
-    ``area`` is the surface relative to the squared radius. ``solid_angle`` is 2 pi if a baffle
+    ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
+    squared radius. ``solid_angle`` is 2 pi if a baffle
     confines the sound to a half-space, otherwise 4 pi.
     """
 
@@ -41,7 +42,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """Largest k a and errors of the network as text."""
+        """String with the largest product k a and the errors of the network."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (
@@ -51,7 +52,7 @@ class Radiator:
         )
 
     def largest_frequency(self, radius: float, sound_speed: float) -> float:
-        """Return the largest frequency [Hz] for which the errors hold."""
+        """Return the largest frequency [Hz] for which the errors of the network hold."""
         return self.network.largest_ka * sound_speed / (2 * math.pi * radius)
 
 
@@ -69,14 +70,15 @@ RADIATORS: Mapping[Shape, Radiator] = {
 def list_elements(network: RadiationNetwork, first: str, last: str) -> Iterator[AcousticElement]:
     """Yield the elements of the sections in series between two nodes.
 
-    The values are expressions of ``impedance``, rho c / S, and ``rate``, c / a.
+    The element values are expressions of ``impedance`` = rho c / S and ``rate`` = c / a.
     """
     count = len(network.sections)
     nodes = [first, *map("n{}".format, range(1, count)), last]
     for k, section in enumerate(network.sections):
         start, end, (r, w, b) = nodes[k], nodes[k + 1], section
         yield AcousticElement(RESISTANCE, f"r{k + 1}", start, end, f"{r:.12g}*impedance")
-        # a resonator has the bandwidth b w = 1 / (R C) and the resonance w^2 = 1 / (L C)
+        # A resonator has the bandwidth b w = 1 / (R C) and the resonance frequency w = 1 / sqrt(L
+        # C).
         mass = r * b / w if b else r / w
         yield AcousticElement(MASS, f"m{k + 1}", start, end, f"{mass:.12g}*impedance/rate")
         if b:

@@ -1,4 +1,4 @@
-"""Networks of radiation impedances, which tools/radiation_networks.py computes."""
+"""Networks that approximate radiation impedances, computed by tools/radiation_networks.py."""
 
 from __future__ import annotations
 

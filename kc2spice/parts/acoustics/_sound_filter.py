@@ -1,10 +1,10 @@
-"""Low pass of the sound pressure in a netlist, and its compensation after a run.
+"""Low-pass filter of the sound pressure in a netlist, and its compensation after a run.
 
 The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
 the trapezoidal rule, a plain derivative oscillates after each kink of the volume velocity and never
-decays: ``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor and a capacitor parallel to the
-inductance L turn the derivative into a second-order low pass with the corner frequency w: ``R = w L
-/ sqrt(2)``, ``C = 1 / (w^2 L)``.
+decays: ``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor ``R = w L / sqrt(2)`` and a capacitor
+``C = 1 / (w^2 L)`` parallel to the inductance L avoid this. They add a second-order low pass with
+the corner frequency w to the derivative.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-# Corner frequency relative to the largest ka of the radiation network. The amplitude is 0.6 % too
-# small at the largest ka, and 0.04 % at half of it.
+# Ratio of the corner frequency of the low pass to the largest frequency of the radiation network.
+# The amplitude is 0.6 % too small at this largest frequency, and 0.04 % too small at half of it.
 CORNER_RATIO = 3.0
 
 
@@ -27,10 +27,11 @@ def low_pass_delay(corner: float) -> float:
 def delay_wave(
     time: np.ndarray, wave: np.ndarray, delays: Iterable[tuple[float, float]]
 ) -> np.ndarray:
-    """Return the sum of delayed copies of a wave (points,), interpolated between its points.
+    """Return the weighted sum of delayed copies of a waveform.
 
-    ``delays`` are pairs of a weight and a delay [s]. The wave is zero before its first point, and
-    constant after its last point.
+    ``delays`` contains pairs of a weight and a delay [s]. ``wave`` has the shape (points,) and is
+    interpolated between its points. It is zero before its first point, and constant after its last
+    point.
     """
     from scipy.interpolate import Akima1DInterpolator  # loads slowly
 

@@ -1,4 +1,4 @@
-"""Cavity, a closed volume of fluid: its compliance, and the heat conduction into its walls."""
+"""The part ``cavity``: a closed volume of fluid with compliance and heat conduction."""
 
 from __future__ import annotations
 
@@ -34,16 +34,17 @@ from kc2spice.scene.part_records import Neglected
 from kc2spice.scene.parttype import register
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
-# relaxations in each decade of frequency; the error of the wall losses is below 1 %
+# number of relaxations in each decade of frequency; the error of the wall losses is below 1 %
 CORNERS_PER_DECADE = 2
-# ratio of largest dimension to wavelength up to which the pressure counts as uniform
+# largest ratio of a cavity's length to the wavelength at which the pressure counts as uniform
 LARGEST_WAVELENGTH_RATIO = 0.1
-# ratio of surface to volume^(2/3) for a cube, and for a sphere, whose surface is the smallest
+# Ratio of surface area to volume^(2/3) for a cube and for a sphere. The ratio of a sphere is the
+# smallest of all shapes.
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
 
 class CavityKeys(FluidKeys):
-    """Volume of a cavity, its walls and its leak."""
+    """Keys of a cavity: its volume, its walls and its leak."""
 
     volume: Annotated[float, si("m3")] = Field(
         ge=SMALLEST_VOLUME, le=LARGEST_LENGTH**3, description="Volume of the cavity"
@@ -77,7 +78,7 @@ class CavityKeys(FluidKeys):
 
     @property
     def depth(self) -> float:
-        """Ratio [m] of volume to surface, the characteristic length of the thermal relaxations."""
+        """Volume divided by surface area [m], the characteristic length of the relaxations."""
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
     @property
@@ -89,8 +90,9 @@ class CavityKeys(FluidKeys):
 class Cavity(AcousticPart[CavityKeys]):
     """Part type ``cavity``: compliance of a volume of fluid, with heat conduction into the walls.
 
-    ``Y = j omega V / (rho c^2) (1 + (gamma - 1) tanh(z) / z)``, ``z^2 = j omega h^2 / alpha``, with
-    the ratio h of volume to surface and the thermal diffusivity alpha.
+    The admittance of a volume V is ``Y = j omega V / (rho c^2) (1 + (gamma - 1) tanh(z) / z)`` with
+    ``z^2 = j omega h^2 / alpha``. h is the volume divided by the surface area of the walls, gamma
+    the ratio of specific heats, and alpha the thermal diffusivity.
     """
 
     name, title = "cavity", "closed volume of fluid with the heat conduction of its walls"
@@ -117,7 +119,7 @@ stop = "2 kHz"
         return (("a", AMBIENT),)
 
     def fluid_volume(self, part: Part[CavityKeys]) -> float:
-        """Return the volume of the cavity."""
+        """Return the volume [m3] of the cavity."""
         return part.keys.volume
 
     def problems(self, part: Part[CavityKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -142,7 +144,7 @@ stop = "2 kHz"
     def _fit_relaxations(
         self, part: Part[CavityKeys], scene: GovernedScene
     ) -> RelaxationSum | None:
-        """Return the thermal relaxations at the walls; None without wall losses."""
+        """Return the fitted thermal relaxations at the walls; None without wall losses."""
         keys, fluid = part.keys, part.keys.fluid
         if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
             return None
@@ -201,8 +203,8 @@ def list_relaxations(
 ) -> Iterator[AcousticElement]:
     """Yield a resistance and a compliance in series for each thermal relaxation.
 
-    Each pair has the compliance ``C (w / p) / (1 + s t / p)``, with the weight w, the corner p, the
-    ``compliance`` C [m3/Pa] and the ``time`` t [s].
+    Each pair has the frequency-dependent compliance ``C (w / p) / (1 + s t / p)``. w is the weight
+    and p the corner of the relaxation, C [m3/Pa] is ``compliance``, and t [s] is ``time``.
     """
     start, end = ends
     for k, (corner, weight) in enumerate(relaxations.terms, 1):

@@ -1,13 +1,13 @@
-"""A rigid diaphragm between a displacement pin and two pins of pressure.
+"""The part ``diaphragm``: a rigid diaphragm with a mechanical and an acoustic port.
 
-With the area S, the mass m, the velocity v of ``a`` relative to ``b`` and the pressures on the two
-sides ::
+S is the area and m the mass of the diaphragm. v is the velocity of the pin ``a`` relative to the
+pin ``b``, and p_front and p_rear are the pressures on the two sides::
 
     U = S v                                  volume velocity out of the pin front, into the pin rear
     F = m dv/dt + S (p_front - p_rear)       force on the pin a
 
-The area is an ideal transformer between the mechanical and the acoustic network (L. L. Beranek,
-T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
+The area is the ratio of an ideal transformer between the mechanical and the acoustic network (L. L.
+Beranek, T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ from kc2spice.scene.parttype import register
 
 
 class DiaphragmKeys(Section):
-    """Area and mass of a rigid diaphragm."""
+    """Keys of a rigid diaphragm: its area and its mass."""
 
     area: Annotated[float, si("m2")] = Field(
         ge=SMALLEST_AREA,
@@ -82,7 +82,7 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
     moving_pins = ("a", "b")
 
     def mass_declaration(self, part: Part[DiaphragmKeys], scene: WiredScene) -> Declaration:
-        """Return the mass of the diaphragm."""
+        """Return the declaration of the diaphragm's mass."""
         return Declaration(
             "mass",
             "mass of the diaphragm",
@@ -96,7 +96,7 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
     def figures(
         self, part: Part[DiaphragmKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figure of the displacement."""
+        """Yield the figure of the displacement of the diaphragm."""
         x = waves.data.get(f"{part.name}.x")
         if x is not None:
             caption = "Displacement of the diaphragm."

@@ -1,15 +1,15 @@
-"""Circular ducts of fluid: short vents with end corrections, and tubes of many sections.
+"""The parts ``vent`` and ``tube``: circular ducts of fluid with losses at their walls.
 
-A duct consists of sections with a series impedance, and with shunt admittances at both ends. Their
-values per length are:
+A duct consists of sections. Each section has a series impedance, and a shunt admittance at both of
+its ends. The impedance Z' and the admittance Y' per unit length are:
 
     1 / Z' = A / (j omega rho) F(omega rho a^2 / mu)
     Y'     = j omega A / (rho c^2) (gamma - (gamma - 1) F(omega a^2 / alpha))
 
-F is the function of viscous and thermal boundary layers (:mod:`._boundary_layers`); without losses,
-F = 1. An open end also moves fluid outside the duct. The length of this fluid is 0.8216 a with a
-flange and 0.6127 a without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to
-Acoustics, section 5.1.3).
+A is the cross-sectional area and a the radius. F is the function of viscous and thermal boundary
+layers (:mod:`._boundary_layers`); without losses, F = 1. Outside an open end, fluid moves together
+with the fluid in the duct. The length of this outer fluid is 0.8216 a with a flange and 0.6127 a
+without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
 """
 
 from __future__ import annotations
@@ -53,18 +53,19 @@ from kc2spice.scene.parttype import register
 
 EndType = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
-WIDEST_DUCT = 1.84  # k a above which the first transverse mode of a circular duct propagates
-SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
-MOST_SECTIONS = 400
-FEW_SECTIONS = 10  # largest number of sections whose losses are as accurate as the losses of a vent
-# corners in each decade for longer ducts; the losses have an error below 5 %
+WIDEST_DUCT = 1.84  # product k a above which the first transverse mode of a duct propagates
+SECTIONS_PER_WAVELENGTH = 30  # for a phase velocity error of (2 pi / 30)^2 / 24 = 0.18 %
+MOST_SECTIONS = 400  # largest number of sections of a tube
+FEW_SECTIONS = 10  # ducts with more sections have fewer relaxations in each section
+# Number of relaxation corners in each decade for ducts with many sections. Their losses have an
+# error below 5 %.
 CORNERS_OF_LONG_DUCTS = 1
-FAR_END = "b"
-FAR_METER = "Vflow_b"
+FAR_END = "b"  # pin of the far end
+FAR_METER = "Vflow_b"  # name of the ammeter for the volume velocity out of the far end
 
 
 class DuctKeys(FluidKeys):
-    """Length and radius of a circular duct, its losses and its ends."""
+    """Keys of a circular duct: its length, its radius and its losses."""
 
     length: Length = Field(
         ge=SMALLEST_LENGTH,
@@ -94,7 +95,7 @@ class DuctKeys(FluidKeys):
 
     @property
     def inner_radius(self) -> float:
-        """Radius [m]."""
+        """Inner radius [m] of the duct."""
         return self.radius or math.sqrt((self.area or 0.0) / math.pi)
 
 
@@ -137,8 +138,9 @@ class TubeKeys(DuctKeys):
 class DuctModel:
     """Sections of a duct with their losses.
 
-    ``viscous`` and ``thermal`` are the relaxations of the boundary layers; None without losses.
-    ``phase_error`` is the relative error of the phase velocity at the end of the band.
+    ``sections`` is their number. ``viscous`` and ``thermal`` are the relaxations of the boundary
+    layers; None without losses. ``phase_error`` is the relative error of the phase velocity at the
+    end of the band.
     """
 
     sections: int
@@ -154,18 +156,19 @@ class DuctModel:
 
 
 class DuctPart(AcousticPart[DuctKeys]):
-    """Base of the parts that are circular ducts."""
+    """Base class of the part types ``vent`` and ``tube``, which are circular ducts."""
 
     def closed(self, part: Part[DuctKeys]) -> bool:
-        """Return whether a rigid wall closes the far end."""
+        """Return whether a rigid wall closes the far end of the duct."""
         return bool(getattr(part.keys, "closed", False))
 
     def ends(self, part: Part[DuctKeys]) -> tuple[str, ...]:
-        """Return the pins of the ends that are open."""
+        """Return the pins of the open ends of the duct."""
         return ("a",) if self.closed(part) else ("a", FAR_END)
 
     def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow, from the end ``a`` to the other end or to a leak."""
+        """Return the path of a steady flow from the end ``a`` to the other end or through a
+        leak."""
         return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -192,7 +195,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         self._warn_of_double_ends(part, scene)
 
     def _warn_of_double_ends(self, part: Part[DuctKeys], scene: GovernedScene) -> None:
-        """Warn about end corrections that a joined part of type radiation already contains."""
+        """Warn about an end correction at an end with a ``radiation`` part, which includes it."""
         for end in self.ends(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]
@@ -206,11 +209,11 @@ class DuctPart(AcousticPart[DuctKeys]):
                     )
 
     def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the number of sections."""
+        """Return the number of sections of the duct, 1 by default."""
         return 1
 
     def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> DuctModel:
-        """Return sections and losses of a duct, accurate in the frequency band of the scene."""
+        """Return the model of a duct that is accurate in the frequency band of the scene."""
         keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
         count = self.sections(part, scene)
         corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_LONG_DUCTS
@@ -237,17 +240,17 @@ class DuctPart(AcousticPart[DuctKeys]):
         return AcousticNetwork((), {}, elements, words, exits=self._list_exits(part))
 
     def _list_exits(self, part: Part[DuctKeys]) -> dict[str, str]:
-        """Return the node behind the meter of the far end."""
+        """Return the node behind the ammeter of the far end, keyed by the pin."""
         return {} if self.closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:
-        """Describe the sections and losses of a duct with their errors in the frequency band."""
+        """Return the sections and losses of a duct, with their errors in the band, in words."""
         losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
 
     def _list_elements(self, part: Part[DuctKeys], duct: DuctModel) -> Iterator[AcousticElement]:
-        """Yield end corrections, series elements and shunt elements in the order of the duct."""
+        """Yield the end corrections, the series elements, and then the shunt elements of a duct."""
         keys, fluid, count = part.keys, part.keys.fluid, duct.sections
         area = math.pi * keys.inner_radius**2
         inertia, step = fluid.density / area, keys.length / count
@@ -269,7 +272,7 @@ class DuctPart(AcousticPart[DuctKeys]):
     # --- the far end ------------------------------------------------------------------------------
 
     def further_cards(self, part: Part[DuctKeys]) -> Iterator[Item | str]:
-        """Yield the card of the meter at the far end."""
+        """Yield the card of the ammeter at the far end."""
         if not self.closed(part):
             yield "* volume velocity out of the far end"
             yield Element.of(FAR_METER, "out", FAR_END, "0")
@@ -286,7 +289,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         return result
 
     def law(self, part: Part[DuctKeys], build: Build) -> laws.Equations:
-        """Return one law for the whole duct, because the duct can have hundreds of elements."""
+        """Return the equations of the whole duct as a single device.
+
+        The number of devices is otherwise the number of elements, which can be hundreds.
+        """
         n, network = part.name, self.network(part, build.scene)
         pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
         law = make_duct_law(n, network, pins)
@@ -311,7 +317,7 @@ class DuctPart(AcousticPart[DuctKeys]):
 
 
 def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
-    """Make the law of a duct from its elements; ``pins`` maps nodes to their pins."""
+    """Return the equations of a duct from its elements; ``pins`` maps nodes to their pins."""
     nodes = {pins.get(item.plus, item.plus): 0.0 for item in network.elements}
     middles: dict[str, AcousticElement] = {}
     channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()
@@ -338,7 +344,11 @@ def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) 
 def _list_series_elements(
     duct: DuctModel, ends: tuple[str, str], index: int, part: Part[DuctKeys], step: float
 ) -> Iterator[AcousticElement]:
-    """Yield the series elements of a section: a mass, or parallel resistance-mass branches."""
+    """Yield the series elements of a duct section.
+
+    Without losses, a section has a mass. With losses, it has parallel branches, each with a
+    resistance and a mass in series.
+    """
     keys, (start, end) = part.keys, ends
     radius = keys.inner_radius
     inertia = keys.fluid.density * step / (math.pi * radius**2)
@@ -355,7 +365,7 @@ def _list_series_elements(
 def _list_shunt_elements(
     duct: DuctModel, node: str, index: int, part: Part[DuctKeys], width: float
 ) -> Iterator[AcousticElement]:
-    """Yield the compliance of a section of the duct, and its thermal relaxations."""
+    """Yield the compliance at a node of the duct, and its thermal relaxations."""
     keys, fluid = part.keys, part.keys.fluid
     radius = keys.inner_radius
     size = math.pi * radius**2 * width / (fluid.density * fluid.sound_speed**2)
@@ -444,12 +454,12 @@ stop = "3 kHz"
             )
 
     def _required_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the number of sections for the band of a scene."""
+        """Return the number of sections that the frequency band of the scene requires."""
         waves = part.keys.length * acoustic_band(scene).high / part.keys.fluid.sound_speed
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
     def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the number of sections: the key ``sections``, or a number for the scene's band."""
+        """Return the key ``sections``; its default is the number that the frequency band needs."""
         stated = part.with_schema(TubeKeys).keys.sections
         return stated or min(self._required_sections(part, scene), MOST_SECTIONS)
 

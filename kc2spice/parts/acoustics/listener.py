@@ -45,17 +45,16 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
 
-OUT = "out"  # pin of the sound pressure
+OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the sources
-RIGHT_ANGLE = 90.0  # degrees, largest angle in front of a baffle
-# Functions that add directivity and travel time to a sound pressure, keyed by the axis of an
-# analysis.
+RIGHT_ANGLE = 90.0  # largest angle [degrees] from the axis that is in front of a baffle
+# Functions that apply directivity and travel time to a sound pressure, by its scale.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
-LOG_DECADES = 1.3  # smallest number of decades for a logarithmic frequency axis
+LOG_DECADES = 1.3  # number of decades above which the frequency axis is logarithmic
 
 
 class ListenerKeys(Section):
-    """Place of the listener, and the radiating surfaces whose sound it receives."""
+    """Keys of a listener: its position, and the radiating surfaces whose sound it receives."""
 
     sources: tuple[str, ...] = Field(
         (),
@@ -78,12 +77,13 @@ class ListenerKeys(Section):
 
 
 class Listener(PartType[ListenerKeys]):
-    """Sum of the far fields of radiating surfaces.
+    """Part type ``listener``: sum of the far-field sound pressures of radiating surfaces.
 
-    A piston in a baffle has ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity ``D
-    = 2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r exp(-j k (r - a))``
+    U is the volume velocity, a the radius of the surface, and r the distance. A piston in a baffle
+    has the sound pressure ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity ``D =
+    2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r exp(-j k (r - a))``
     (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). For an open
-    end with the pressure p_end on its surface, the value on the axis is used at all angles: ``p = j
+    end of area S with the pressure p_end, the pressure on the axis is used at all angles: ``p = j
     omega rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J. Schwinger, Phys. Rev.
     73 (1948) 383).
     """
@@ -135,7 +135,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Join each input to the sound pin of a radiating surface."""
+        """Return the default connections, from each input to the pin ``sound`` of a surface."""
         sources = self.radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_input_names(len(sources)), targets, strict=True))
@@ -199,7 +199,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         sources: tuple[Part[RadiationKeys], ...],
         scene: GovernedScene,
     ) -> None:
-        """Warn about a listener in the near field, and about an angle without effect."""
+        """Warn about a listener in the near field, and about an angle that has no effect."""
         keys, top = part.keys, highest_frequency(scene)
         limit = min(map(self._largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
@@ -219,10 +219,10 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             )
 
     def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
-        """Return the frequency [Hz] up to which the listener's distance exceeds S / wavelength.
+        """Return the frequency [Hz] up to which the listener is in the far field of ``source``.
 
-        S is the area of the surface. For a sphere the frequency is infinite, because its pressure
-        has no near field.
+        At this frequency, the listener's distance is S / wavelength for a surface of the area S.
+        For a sphere, the frequency is infinite, because its pressure has no near field.
         """
         if source.keys.shape == "sphere":
             return math.inf
@@ -271,13 +271,13 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
     def law(self, part: Part[ListenerKeys], build: Build) -> laws.Equations:
-        """Return no equations: the pressure is computed after the run from other results."""
+        """Return no equations, because the pressure is computed from other results after a run."""
         return laws.Equations()
 
     def corrected_waves(
         self, part: Part[ListenerKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the pressure with directivity and travel time, over frequency or time."""
+        """Return the sound pressure with directivity and travel time, versus frequency or time."""
         sources, keys = self.radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)
@@ -292,7 +292,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": share * np.sum(pressures, axis=0)}
 
     def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
-        """Return the levels [dB] of an ac analysis."""
+        """Return the sound pressure level [dB] at each frequency of an ac analysis."""
         fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
         pressure = np.abs(waves[f"{part.name}.{ACOUSTIC.across.symbol}"])
         return compute_level(pressure / math.sqrt(2.0), fluid.level_reference)
@@ -313,7 +313,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         }
 
     def _is_level_probed(self, part: Part[ListenerKeys], scene: Scene) -> bool:
-        """Return whether a probe reads the level, whose plot replaces the plot of the listener."""
+        """Return whether a probe measures the level, so that the listener needs no plot of it."""
         name = f"{part.name}.{ACOUSTIC.across.symbol}"
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
@@ -370,12 +370,12 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
 
 def _input_names(count: int) -> tuple[str, ...]:
-    """Return the names of the input pins, one for the sound pressure of each source."""
+    """Return the names of ``count`` input pins, each for the sound pressure of a source."""
     return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
 
 
 def _write_sum(count: int) -> Iterator[Item]:
-    """Yield the cards of the sum of all inputs, divided by the distance."""
+    """Yield the cards whose output is the sum of all inputs divided by the distance."""
     base, gain = AMBIENT, f"{{{format_number(REFERENCE_DISTANCE)}/distance}}"
     for k, pin in enumerate(_input_names(count), 1):
         end = OUT if k == count else f"sum{k}"

@@ -1,4 +1,4 @@
-"""Radiation of sound from a vibrating surface: pistons and a pulsating sphere."""
+"""The part ``radiation``: sound radiation of a piston or a pulsating sphere."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene,
 from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
 
-FACE, SOUND = "face", "sound"  # pins
+FACE, SOUND = "face", "sound"  # pins of the surface, and of the sound pressure in the far field
 REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound``
 
 
 class RadiationKeys(FluidKeys):
-    """Shape of a radiating surface, and its radius or area."""
+    """Keys of a radiating surface: its shape, and its radius or area."""
 
     shape: Shape = Field(
         "baffled_piston",
@@ -81,24 +81,24 @@ class RadiationKeys(FluidKeys):
 
     @property
     def radiator(self) -> Radiator:
-        """Network and far field of the shape."""
+        """Properties of the shape, with its radiation network."""
         return RADIATORS[self.shape]
 
     @property
     def surface_radius(self) -> float:
-        """Radius [m] of the surface."""
+        """Radius [m] of the radiating surface."""
         if self.radius is not None:
             return self.radius
         return math.sqrt((self.area or 0.0) / self.radiator.area)
 
     @property
     def sound_corner(self) -> float:
-        """Corner frequency [rad/s] of the low pass at the pin ``sound``, which a sphere lacks."""
+        """Corner frequency [rad/s] of the low pass at the pin ``sound``; infinite for a sphere."""
         return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
     def largest_frequency(self) -> float:
-        """Largest frequency [Hz] for which the error of the network holds."""
+        """Largest frequency [Hz] for which the errors of the radiation network hold."""
         return self.radiator.largest_frequency(self.surface_radius, self.fluid.sound_speed)
 
 
@@ -125,7 +125,7 @@ stop = "20 kHz"
 """
 
     def ends(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
-        """Return the pin of the surface."""
+        """Return the pin of the radiating surface."""
         return (FACE,)
 
     def paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
@@ -153,7 +153,7 @@ stop = "20 kHz"
             )
 
     def network(self, part: Part[RadiationKeys], scene: GovernedScene) -> AcousticNetwork:
-        """Return the elements of the radiation impedance."""
+        """Return the network of the radiation impedance."""
         keys = part.keys
         params = (
             positive_parameter("radius", keys.surface_radius, "m", "radius of the surface"),
@@ -169,7 +169,7 @@ stop = "20 kHz"
         )
 
     def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
-        """Yield the cards of the sound pressure at the reference distance."""
+        """Yield the cards that compute the sound pressure at the reference distance."""
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
             "its travel time"
@@ -209,7 +209,11 @@ stop = "20 kHz"
     def corrected_waves(
         self, part: Part[RadiationKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the pressure without the low pass of the netlist, or without its delay."""
+        """Return the sound pressure, corrected for the low pass of the netlist.
+
+        A frequency response is divided by the response of the low pass. A waveform versus time is
+        advanced by the delay of the low pass.
+        """
         name, corner = f"{part.name}.{SOUND}", part.keys.sound_corner
         scale = next(iter(waves))
         if name not in waves or math.isinf(corner):
@@ -247,10 +251,10 @@ stop = "20 kHz"
 
 @dataclass(frozen=True)
 class FarField:
-    """Pressure in the far field, on the axis at the reference distance, without travel time.
+    """Far-field pressure on the axis at the reference distance, without travel time.
 
-    The pressure is ``pressure * p + flow * U`` with the pressure p [Pa] on the surface and its
-    volume velocity U [m3/s]. With ``rate``, it is the time derivative of this sum.
+    It is ``pressure * p + flow * U`` for the pressure p [Pa] on the surface and the volume velocity
+    U [m3/s] of the surface. With ``rate``, it is the time derivative of this sum.
     """
 
     pressure: float
@@ -258,17 +262,17 @@ class FarField:
     rate: bool
 
     def evaluate(self, s: np.ndarray, p: np.ndarray, U: np.ndarray) -> np.ndarray:
-        """Return the pressures at ``s = j omega``."""
+        """Return the far-field pressures at ``s = j omega``."""
         return np.asarray((s if self.rate else 1.0) * (self.pressure * p + self.flow * U))
 
 
 def find_far_field(keys: RadiationKeys) -> FarField:
-    """Return the far field of a surface.
+    """Return the coefficients of the far-field pressure of a surface.
 
-    The field is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with
-    the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end.
-    The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the intensity of a
-    point source with the same power.
+    It is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with the
+    pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end. The
+    intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the intensity of a point
+    source with the same power.
     """
     if keys.shape == "sphere":
         return FarField(keys.surface_radius / REFERENCE_DISTANCE, 0.0, rate=False)

@@ -476,8 +476,7 @@ dc = "1 W"
     def figures(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield plots of temperatures versus time, the thermal impedance, and the temperature
-        field."""
+        """Yield plots of temperatures, of the thermal impedance, and of the temperature field."""
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
         field = self.temperatures(part, build, waves)
@@ -497,8 +496,7 @@ dc = "1 W"
     def temperatures(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> TemperatureField | None:
-        """Return the temperature field inside the body versus time; None without the key
-        ``fields``.
+        """Return the temperature field versus time; None without the key ``fields``.
 
         Raises
         ------

@@ -205,8 +205,7 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     def add(
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
-        """Add a block between the heights ``low`` and ``high``; ``up`` is the sign of its
-        poling."""
+        """Add a block from height ``low`` to ``high``; ``up`` is the sign of its poling."""
         one = material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
         poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)

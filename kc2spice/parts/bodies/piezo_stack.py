@@ -79,7 +79,8 @@ MOUNTING_TEXTS = {  # descriptions of the values of the key mounting
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30  # number of states of the reduced model in the paper
-# Keys that determine the finite-element model; the other keys, such as ``drive``, only affect the circuit.
+# Keys that determine the finite-element model. The other keys, such as ``drive``, only affect the
+# circuit.
 CHIP_KEYS = set(Chip.model_fields)
 # Keys whose values do not decide whether a chip counts as the paper's chip.
 FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
@@ -112,8 +113,7 @@ class KickPulse(Section):
 
 
 class Stack(Chip, FieldKeys):
-    """Piezoelectric chip actuator, with its own drive if no other part is connected to the
-    anode."""
+    """Keys of a piezoelectric chip, which has its own drive if nothing else drives the anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
@@ -137,7 +137,10 @@ class Stack(Chip, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Add the kick pulse of the paper to a chip in a short scene, unless it is harmonic."""
+        """Add the kick pulse of the paper to a driven chip whose table has no key ``part``.
+
+        A scene with a table ``harmonic`` applies unit loads, so its chip gets no pulse.
+        """
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
             return data
@@ -206,7 +209,7 @@ class PiezoStack(MeshedBody[Stack]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the ports of the anode, and of all rings up to the last ring that the scene
+        """Return the port of the anode, and of all rings up to the last one that the scene
         needs."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
@@ -313,8 +316,7 @@ class PiezoStack(MeshedBody[Stack]):
         return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
-        """Yield the largest dynamic stroke of the free chip, which limits a contact's
-        indentation."""
+        """Yield the largest dynamic stroke of the chip, which limits a contact's indentation."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
@@ -333,8 +335,7 @@ class PiezoStack(MeshedBody[Stack]):
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def rated_by_material(self, part: Part[Stack]) -> float:
-        """Return the voltage rating [V] that follows from the rated field and the layer
-        thickness."""
+        """Return the voltage rating [V], the rated field times the layer thickness."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
