@@ -1,16 +1,16 @@
 """Circuit of a loudspeaker driver: voice coil, eddy currents, suspension, creep and cone.
 
-With the force factor B l and the velocity v of the cone ::
+B l is the force factor, v the velocity of the cone, u the voltage and i the current of the coil::
 
     u = re i + leb di/dt + Z_semi i + B l v
     B l i = mass dv/dt + (r0 + 1 / (s c(s))) v + sd (p_front - p_rear)
     Z_semi = 1 / (1/(s le) + 1/(ke sqrt(s)) + 1/rss)
     c(s) = c0 (1 + creep ln(1 + 2 pi fs / s))
 
-Sources: semi-inductance K. Thorborg, C. Futtrup, J. Audio Eng. Soc. 59 (2011) 612; creep
-M. H. Knudsen, J. G. Jensen, J. Audio Eng. Soc. 41 (1993) 3, in the form of J. Candy, C. Futtrup,
-which is passive at all frequencies. Ladders of :mod:`._ladders` approximate sqrt(s) and the
-logarithm.
+Sources: semi-inductance K. Thorborg, C. Futtrup, J. Audio Eng. Soc. 59 (2011) 612; creep M. H.
+Knudsen, J. G. Jensen, J. Audio Eng. Soc. 41 (1993) 3, in the form of J. Candy, C. Futtrup, which is
+passive at all frequencies. The ladders of :mod:`._ladders` approximate sqrt(s) and the logarithm by
+circuit elements.
 """
 
 from __future__ import annotations
@@ -34,17 +34,19 @@ SIGN = "um and N count along plus current; 1 A into a pin pushes it that way wit
 SOUND_SIGN = "; a cone that moves this way presses air out of front and draws it in by rear"
 AIR_NOTE = "part of mms that is the air load of radiation parts"
 _AMBIENT = "ambient"
-COIL = "coil"  # current of a voice coil between plus and the node of the eddy currents
-_EDDY, _CREEP = "eddy", "creep"  # Inner nodes: behind the voice coil, and within the suspension.
-# ln(1 + 2 pi fs / s) at s = 2 pi fs j
+COIL = "coil"  # name of the voice coil's current, which flows from ``plus`` to the node ``eddy``
+_EDDY, _CREEP = "eddy", "creep"  # inner nodes behind the voice coil, and in the suspension
+# Value of ln(1 + 2 pi fs / s) at s = 2 pi fs j.
 _CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
 
 
 def baffle_air_mass(area: float) -> float:
-    """Return the air mass [kg] that a piston in a baffle moves on one side at low frequencies.
+    """Return the mass [kg] of air that a piston in a baffle moves on one side.
 
-    The mass is ``8/3 rho a^3`` with the radius a (L. E. Kinsler et al., Fundamentals of Acoustics,
-    2000, section 7.5).
+    This mass is the low-frequency limit.
+
+    It is ``8/3 rho a^3`` with the radius a and the density rho (L. E. Kinsler et al., Fundamentals
+    of Acoustics, 2000, section 7.5).
     """
     return 8 / 3 * AIR_DENSITY * (area / math.pi) ** 1.5
 
@@ -60,9 +62,9 @@ class SemiInductance(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeakerParameters:
-    """Parameters of a driver in SI.
+    """Parameters of a loudspeaker driver in SI units.
 
-    ``mmd`` is the moving mass without air, None if the area of the cone is not known.
+    ``mmd`` is the moving mass without air; it is None if the area of the cone is not known.
     """
 
     fs: float
@@ -78,15 +80,15 @@ class SpeakerParameters:
 
     @property
     def rms(self) -> float:
-        """Mechanical resistance of the suspension at fs [N s/m]."""
+        """Mechanical resistance [N s/m] of the suspension at the resonance frequency fs."""
         return TWO_PI * self.fs * self.mms / self.qms
 
     @property
     def creep_resistance(self) -> float:
-        """Mechanical resistance of the creep at fs [N s/m].
+        """Mechanical resistance [N s/m] of the creep at the resonance frequency fs.
 
-        The resistance is ``-Im(z) / (2 pi fs cms Re(z))`` with ``z = 1 + creep ln(1 - j)``, because
-        ``1/(s c(s))`` has the reactance of ``cms`` at fs.
+        The resistance is ``-Im(z) / (2 pi fs cms Re(z))`` with ``z = 1 + creep ln(1 - j)``. In this
+        formula, the suspension ``1/(s c(s))`` has the reactance of the compliance ``cms`` at fs.
         """
         grown = 1 + self.creep * _CREEP_AT_FS
         return -grown.imag / grown.real * TWO_PI * self.fs * self.mms
@@ -94,7 +96,7 @@ class SpeakerParameters:
 
 @dataclass
 class _DeclarationTerms:
-    """Branches and energy terms that single effects add to the declaration of a driver."""
+    """Branches and energy terms that optional effects add to the declaration of a driver."""
 
     branches: list[Branch] = field(default_factory=list)
     energy: list[str] = field(default_factory=list)
@@ -105,7 +107,7 @@ class _DeclarationTerms:
     inner: list[str] = field(default_factory=list)
 
     def add_path(self, name: str, inductance: str, resistance: str) -> None:
-        """Add a resistance and an inductance in series behind the voice coil."""
+        """Add a current path with a resistance and an inductance in series with the voice coil."""
         self.branches.append(current(name, _EDDY, "minus"))
         if inductance:
             self.coenergy.append(f"0.5*{inductance}*{name}^2")
@@ -120,7 +122,7 @@ def _join_terms(*terms: str) -> str:
 def _add_semi_inductance(
     terms: _DeclarationTerms, semi: SemiInductance, ladder: RelaxationLadder
 ) -> None:
-    """Add the paths of eddy currents: ``le``, ``rss`` and the ladder of ``1/(ke sqrt(s))``."""
+    """Add the paths of eddy currents: ``le``, ``rss``, and a ladder for ``1/(ke sqrt(s))``."""
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
     notes = {
@@ -135,8 +137,8 @@ def _add_semi_inductance(
             terms.params.append(positive_parameter(name, value, unit, notes[name]))
     if semi.leb:
         terms.coenergy.append(f"0.5*leb*{COIL}^2")
-    # Parallel inductors become one inductor, because the distribution of a constant current between
-    # two inductors would be undetermined.
+    # Parallel inductors are combined to a single inductor, because the distribution of a constant
+    # current between two inductors would be undetermined.
     conductances = [f"{ladder.constant!r}/ke"] * bool(semi.ke) + ["1/rss"] * bool(semi.rss)
     inverses = [f"{ladder.integral!r}/ke"] * bool(semi.ke) + ["1/le"] * bool(semi.le)
     terms.constants["r_fast"] = f"1/({_join_terms(*conductances)})"
@@ -147,17 +149,17 @@ def _add_semi_inductance(
         return
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
         # The term weight corner / (ke (s + corner)) is a resistance R = ke / weight in series with
-        # L = R / corner.
+        # an inductance L = R / corner.
         terms.constants[f"r_eddy{k}"] = f"ke/{weight!r}"
         terms.constants[f"l_eddy{k}"] = f"r_eddy{k}/{corner!r}"
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
 
 
 def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder) -> None:
-    """Add the suspension: the compliance c0 and the elements of creep in series.
+    """Add the suspension: the compliance c0 in series with the elements of creep.
 
-    The displacement of each inner node is the elongation of one element: a spring in parallel with
-    a damper.
+    Each element of creep is a spring in parallel with a damper. The displacement of each inner node
+    is the elongation of one of these elements.
     """
     terms.params.append(
         positive_parameter("creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)")
@@ -174,8 +176,8 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     stretches = [f"x{k}" for k in range(1, len(nodes) + 1)]
     terms.energy.append(f"0.5*({' - '.join(['x', *stretches])})^2/c0")
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # The term of the compliance is c0 creep weight corner / (s + corner), with s relative to 2
-        # pi fs.
+        # This element contributes c0 creep weight corner / (s + corner) to the compliance, with s
+        # relative to 2 pi fs.
         terms.constants[f"c_creep{k}"] = f"c0*creep*{weight!r}"
         terms.constants[f"r_creep{k}"] = f"1/({corner!r}*omega*c_creep{k})"
         terms.branches.append(displacement(f"x{k}", nodes[k - 1], "frame", f"force_x{k}"))
@@ -184,10 +186,10 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
 
 
 def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) -> None:
-    """Add acoustic pins: the cone is an ideal transformer with the ratio ``sd``.
+    """Add acoustic pins, which the cone couples to its motion as an ideal transformer.
 
-    The coenergy of a pressure is ``sd x p`` on the rear, and ``-sd x p`` on the front, where the
-    cone presses air out.
+    The ratio of the transformer is the area ``sd``. The pressure p on the rear of the cone has the
+    coenergy ``sd x p``. On the front, where the cone presses air out, it has ``-sd x p``.
     """
     terms.params.append(
         positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
@@ -202,7 +204,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
 def declare_motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
-    """Declare voice coil, suspension and acoustic pins, without the mass of the cone."""
+    """Return the declaration of a driver without the mass of its cone."""
     more, semi, creeps = _DeclarationTerms(), driver.semi, driver.creep > 0
     if semi:
         _add_semi_inductance(more, semi, semi_inductance_ladder())
@@ -239,17 +241,17 @@ def declare_motor(
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign=SIGN + SOUND_SIGN * bool(sides),
         inner=tuple(more.inner),
-        # The sound is computed from the velocity, because two numerical derivatives of the
-        # displacement would be inaccurate.
+        # The sound pressure is computed from the velocity, because a second numerical derivative of
+        # the displacement would be inaccurate.
         velocities={"x": "speed_m"} if sides else {},
     )
 
 
 def declare_moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
-    """Declare the mass of the cone, which has separate nodes in the netlist of the motor.
+    """Return the declaration of the moving mass of a driver, with separate netlist nodes.
 
-    ``air`` [kg] is the part of ``mass`` that joined parts of type radiation already contain.
-    ``added`` [kg] is a further mass on the cone.
+    ``air`` [kg] is the share of ``mass`` that connected parts of type ``radiation`` already
+    contain. ``added`` [kg] is an additional mass on the cone.
     """
     moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
     if air:

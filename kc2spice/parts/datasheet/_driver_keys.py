@@ -25,17 +25,17 @@ from kc2spice.parts.datasheet._resonator import TWO_PI, NumberedKeys
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import ConductorKeys
 
-AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
-# Unknowns with start values of the iteration in SI, from a common woofer of 17 cm.
+AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # bulk modulus rho c^2 of air [Pa]
 AREA_KEYS = ("sd", "vas", "mmd")  # keys whose relations contain the area of the cone
+# Unknowns with their start values in the iteration, in SI units, from a common woofer of 17 cm.
 EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
 Area = Annotated[float, si("m2")]
 
 
 class LoudspeakerKeys(ConductorKeys, NumberedKeys):
-    """Values of a data sheet that determine the driver; redundant values must agree.
+    """Values of a data sheet that determine a loudspeaker driver; redundant values must agree.
 
-    ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
+    Their relations are ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
     """
 
@@ -102,7 +102,7 @@ DRIVER_UNITS = {
     "fs": "Hz", "re": "Ohm", "qms": "", "qes": "", "qts": "", "bl": "N/A", "mms": "kg",
     "cms": "m/N", "rms": "N s/m", "sd": "m2", "vas": "m3", "zmax": "Ohm", "mmd": "kg",
 }  # fmt: skip
-# Parameters of the netlist with their units and descriptions.
+# Unit and description of each parameter of a loudspeaker's netlist.
 DRIVER_PARAMETERS = {
     "fs": ("Hz", "resonance frequency in free air"),
     "re": ("Ohm", "DC resistance of the voice coil"),
@@ -113,7 +113,10 @@ DRIVER_PARAMETERS = {
 
 
 def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """Compute all data-sheet values from ``re``, ``bl``, ``mms``, ``cms``, ``rms``, ``sd``."""
+    """Return all data-sheet values of a driver, computed from six of them.
+
+    ``driver`` contains ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd`` in SI units.
+    """
     w = 1 / math.sqrt(driver["mms"] * driver["cms"])
     qms = w * driver["mms"] / driver["rms"]
     qes = w * driver["mms"] * driver["re"] / driver["bl"] ** 2

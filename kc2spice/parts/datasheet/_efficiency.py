@@ -13,16 +13,17 @@ STEADY_SHARE = 0.5  # fraction of a transient after which the oscillation counts
 
 
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
-    """Return the efficiency: (n,) over frequency, or (1,) over the last periods of a transient.
+    """Return the efficiency of a loudspeaker, radiated power divided by electrical power.
 
-    With the pressure p on the axis at the distance r, the radiated power is ::
+    The array has the shape (n,) with a value for each frequency, or the shape (1,) with the mean
+    over the last periods of a transient. The radiated power is ::
 
         P = angle r^2 |p|^2 / (rho c)
 
-    where ``angle`` is the solid angle of the radiating surfaces. The formula neglects that large
-    surfaces radiate less off their axis. The scene must have one loudspeaker and one listener on
-    the axis of surfaces in one fluid; otherwise, the result is None. In a transient, the sources
-    also need a common period.
+    where p is the pressure on the axis at the distance r, and ``angle`` is the solid angle of the
+    radiating surfaces. The formula neglects that large surfaces radiate less off their axis. The
+    scene must have one loudspeaker, and one listener on the axis of surfaces in one fluid. In a
+    transient, the sources must also have a common period. Otherwise, the function returns None.
     """
     listener, lines = scene.find_only_part("listener"), (f"{part.name}.v", f"{part.name}.i")
     if listener is None or scene.find_only_part(part.type.name) is None:
@@ -55,10 +56,11 @@ def _average_periods(
     period: float | None,
     delay: float,
 ) -> np.ndarray | None:
-    """Return the ratio (1,) of two powers (n,), averaged over the last whole periods.
+    """Return the ratio of two mean powers over the last complete periods, of shape (1,).
 
-    The ``radiated`` power arrives ``delay`` [s] later than the electrical power that generates it.
-    The result is None without a common period.
+    ``radiated`` and ``electrical`` are powers versus time, of shape (n,). The radiated power
+    arrives ``delay`` [s] later than the electrical power that generates it. Return None without a
+    common period.
     """
     count = 0 if not period else int(STEADY_SHARE * (time[-1] - delay) / period)
     if not period or count < 1:

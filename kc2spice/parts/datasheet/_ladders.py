@@ -1,7 +1,7 @@
 """Ladders of resistors and inductors, or of springs and dampers, for irrational responses.
 
-A response ``f(s)`` whose losses are spread over all frequencies, such as ``1/sqrt(s)`` or
-``ln(1 + 1/s)``, is approximated in a band by ::
+A response ``f(s)`` with losses at all frequencies, such as ``1/sqrt(s)`` or ``ln(1 + 1/s)``, is
+approximated in a frequency band by ::
 
     f(s) = constant + integral / s + sum_k weight_k corner_k / (s + corner_k)
 
@@ -17,22 +17,23 @@ from functools import cache
 
 import numpy as np
 
-# numbers of frequencies in the fit, and in the error estimate
+# Numbers of frequencies at which a ladder is fitted, and at which its error is computed.
 _FIT_POINTS, _CHECK_POINTS = 120, 2000
-# Band [rad/s] of the ladder of semi-inductances: 5 Hz to 50 kHz, the audio band and an octave more.
+# Band [rad/s] of the ladder of semi-inductances, 5 Hz to 50 kHz, which is wider than the audio
+# band.
 SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
-# Number of branches of the ladder of semi-inductances; each further branch divides the error by
+# Number of branches of the ladder of semi-inductances. Each additional branch divides the error by
 # 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
 # Band of the ladder of creep, relative to the creep frequency.
 CREEP_BAND = 1e-3, 30.0
-# number of elements of the ladder of creep; each further element divides the error by 2.9
+# Number of elements of the ladder of creep. Each additional element divides the error by 2.9.
 CREEP_ELEMENTS = 6
 
 
 @dataclass(frozen=True)
 class RelaxationLadder:
-    """Terms of a ladder, and its largest relative error in its band."""
+    """Coefficients of a ladder, and its largest relative error in its frequency band."""
 
     corners: tuple[float, ...]
     weights: tuple[float, ...]
@@ -41,7 +42,7 @@ class RelaxationLadder:
     error: float
 
     def evaluate(self, s: np.ndarray) -> np.ndarray:
-        """Return the response (n,) at complex frequencies (n,)."""
+        """Return the response of the ladder at the complex frequencies ``s``, of shape (n,)."""
         corners, weights = np.array(self.corners), np.array(self.weights)
         terms = weights * corners / (s[:, None] + corners)
         return np.asarray(self.constant + self.integral / s + terms.sum(axis=1))
@@ -53,17 +54,17 @@ def fit_ladder(
     count: int,
     ends: bool,
 ) -> RelaxationLadder:
-    """Fit a ladder to a response by least squares of the relative error.
+    """Return a ladder, fitted to a response by least squares of the relative error.
 
-    The unknowns are logarithms, so that all coefficients are positive. The corners begin at a
-    geometric sequence over the band.
+    The unknowns of the fit are the logarithms of the coefficients, so that all coefficients are
+    positive. The start values of the corners are a geometric sequence in the band.
 
     Parameters
     ----------
     response : callable
-        Response (n,) of complex frequencies ``s`` (n,).
+        Function of complex frequencies ``s``, an array (n,), that returns the response (n,).
     band : pair of float
-        Lowest and highest angular frequency.
+        Lowest and highest angular frequency of the fit.
     count : int
         Number of terms with a corner.
     ends : bool
@@ -72,7 +73,7 @@ def fit_ladder(
     Returns
     -------
     RelaxationLadder
-        Coefficients and largest relative error in the band.
+        Coefficients of the ladder, and its largest relative error in the band.
 
     Examples
     --------
@@ -90,7 +91,7 @@ def fit_ladder(
         start.append(np.log([high / 3, low * band[0] / 3]))
 
     def terms(x: np.ndarray) -> np.ndarray:
-        """Return the terms of the ladder at logarithms of its coefficients."""
+        """Return the terms of the ladder, divided by the response, for log-coefficients ``x``."""
         weight, corner = np.exp(x[:count]), np.exp(x[count : 2 * count])
         columns = [weight * corner / (s[:, None] + corner)]
         if ends:
@@ -99,12 +100,12 @@ def fit_ladder(
         return np.hstack(columns) / target[:, None]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        """Return the weighted residuals of the fit."""
+        """Return real and imaginary parts of the ladder's relative error."""
         error = terms(x).sum(axis=1) - 1
         return np.concatenate([error.real, error.imag])
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals."""
+        """Return the derivatives of the residuals with respect to ``x``."""
         columns, corner = terms(x), np.exp(x[count : 2 * count])
         moved = columns[:, :count] * s[:, None] / (s[:, None] + corner)
         by_all = np.hstack([columns[:, :count], moved, columns[:, count:]])
@@ -123,13 +124,14 @@ def fit_ladder(
 
 @cache
 def semi_inductance_ladder() -> RelaxationLadder:
-    """Return the ladder of the admittance ``1/sqrt(s)`` of one semi-henry."""
+    """Return the ladder for ``1/sqrt(s)``, the admittance of a semi-inductance of one
+    semi-henry."""
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 
 @cache
 def creep_ladder() -> RelaxationLadder:
-    """Return the ladder of ``ln(1 + 1/s)``, the increase of a compliance by creep.
+    """Return the ladder for ``ln(1 + 1/s)``, the relative increase of a compliance by creep.
 
     The frequency ``s`` is relative to the creep frequency.
     """

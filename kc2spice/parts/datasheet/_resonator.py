@@ -1,12 +1,13 @@
-"""Resonators by the Butterworth-Van Dyke circuit, as in data sheets of ceramics and crystals.
+"""Resonators as Butterworth-Van Dyke circuits, as in data sheets of ceramics and crystals.
 
 A clamped capacitance ``c0`` is in parallel with one series branch ``lm``, ``cm``, ``rm`` for each
 mode:
 
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
-(K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types state how their keys follow
-from these elements. :mod:`._stated_values` computes the elements from the keys.
+(K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types define their keys as
+functions of these elements. The module :mod:`._stated_values` solves for the elements that match
+the keys.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ TWO_PI = 2 * math.pi
 
 
 class NumberedKeys(Section):
-    """Key of all parts with a part number."""
+    """Base class for the keys of all parts with a part number."""
 
     number: PartNumber | None = Field(
         None,
@@ -65,7 +66,7 @@ class NumberedKeys(Section):
 
 
 class RatedKeys(NumberedKeys):
-    """Key of all electrical parts with a rated voltage."""
+    """Base class for the keys of all electrical parts with a rated voltage."""
 
     rated_voltage: Voltage | None = Field(
         None,
@@ -76,7 +77,11 @@ class RatedKeys(NumberedKeys):
 
 @dataclass(frozen=True)
 class Resonator:
-    """Elements of a resonator in SI: ``c0``, and ``fs``, ``cm`` and ``rm`` of each mode."""
+    """Circuit elements of a resonator in SI units.
+
+    They are the clamped capacitance ``c0``, and for each mode the series resonance frequency
+    ``fs``, the capacitance ``cm`` and the resistance ``rm``.
+    """
 
     c0: float
     fs: tuple[float, ...]
@@ -85,7 +90,7 @@ class Resonator:
 
     @classmethod
     def from_unknowns(cls, values: np.ndarray) -> Resonator:
-        """Make a resonator from ``(c0, fs_1, …, cm_1, …, rm_1, …)``."""
+        """Return a resonator from the unknowns ``(c0, fs_1, …, cm_1, …, rm_1, …)`` of a fit."""
         c0, *others = map(float, values)
         modes = len(others) // 3
         columns = (tuple(others[k * modes : (k + 1) * modes]) for k in range(3))
@@ -93,15 +98,16 @@ class Resonator:
 
     @cached_property
     def lm(self) -> tuple[float, ...]:
-        """Motional inductances [H], ``1 / ((2 pi fs)^2 cm)``."""
+        """Motional inductance [H] of each mode, ``1 / ((2 pi fs)^2 cm)``."""
         return tuple(1 / ((TWO_PI * f) ** 2 * c) for f, c in zip(self.fs, self.cm, strict=True))
 
     @cached_property
     def fp(self) -> tuple[float, ...]:
-        """Antiresonances [Hz] of the lossless circuit, in the order of ``fs``.
+        """Antiresonance frequencies [Hz] of the circuit without losses, in the order of ``fs``.
 
-        With the charge of each branch as unknown, the open circuit has the eigenvalues of
-        ``diag(w^2) + g g' / c0``, ``g_n = lm_n^(-1/2)``.
+        With the charges of the branches as unknowns, the squared angular frequencies of the open
+        circuit are the eigenvalues of ``diag(w^2) + g g' / c0`` with ``w_n = 2 pi fs_n`` and ``g_n
+        = lm_n^(-1/2)``.
         """
         w, g = TWO_PI * np.array(self.fs), 1 / np.sqrt(self.lm)
         squares = np.linalg.eigvalsh(np.diag(w**2) + np.outer(g, g) / self.c0)
@@ -110,7 +116,7 @@ class Resonator:
         return tuple(map(float, result))
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the complex admittance (n,) [S] at frequencies [Hz]."""
+        """Return the complex admittance [S] at each frequency [Hz], an array of shape (n,)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         result = s * self.c0
         for cm, lm, rm in zip(self.cm, self.lm, self.rm, strict=True):
@@ -118,12 +124,15 @@ class Resonator:
         return np.asarray(result)
 
     def capacitance(self, frequency: float) -> float:
-        """Return the capacitance [F] without losses, ``c0 + sum cm / (1 - (f / fs)^2)``."""
+        """Return the capacitance [F] of the circuit without losses at ``frequency`` [Hz].
+
+        It is ``c0 + sum cm / (1 - (f / fs)^2)``.
+        """
         modes = zip(self.cm, self.fs, strict=True)
         return self.c0 + sum(c / (1 - (frequency / f) ** 2) for c, f in modes)
 
     def coupling(self, mode: int) -> float:
-        """Return the effective coupling factor of a mode, ``sqrt(1 - (fs / fp)^2)``."""
+        """Return the effective coupling coefficient of a mode, ``sqrt(1 - (fs / fp)^2)``."""
         return math.sqrt(max(0.0, 1 - (self.fs[mode] / self.fp[mode]) ** 2))
 
     def q_factor(self, mode: int) -> float:
@@ -133,9 +142,9 @@ class Resonator:
 
 @dataclass(frozen=True)
 class ResonatorNetlist:
-    """Parameters of a subcircuit, and its elements as expressions of the parameters.
+    """Parameters of a subcircuit, and its circuit elements as expressions of the parameters.
 
-    ``modes`` contains the elements of each mode.
+    ``modes`` contains the suffix of the element names of each mode.
     """
 
     params: tuple[Param, ...]
@@ -144,7 +153,7 @@ class ResonatorNetlist:
 
 
 class NumberedPart(PartType[KeysT]):
-    """Part whose library has the name of the part number."""
+    """Part with a library that is named after its part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the part number as the name of the subcircuit."""
@@ -156,7 +165,7 @@ class NumberedPart(PartType[KeysT]):
 
 
 class ResonatorPart(NumberedPart[KeysT]):
-    """Part whose subcircuit is the Butterworth-Van Dyke circuit between two pins."""
+    """Part with a Butterworth-Van Dyke circuit between its two pins as its subcircuit."""
 
     source = "data sheet"
     noise = ("Rm*",)
@@ -165,21 +174,21 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def resonator(self, part: Part[KeysT]) -> Resonator:
-        """Return the circuit elements from the keys of a part.
+        """Return the circuit elements that the keys of the part determine.
 
-        A UsageError is raised if the keys do not determine the elements.
+        Raise a UsageError if the keys do not determine the elements.
         """
 
     @abstractmethod
     def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
-        """Return netlist parameters, and expressions for ``c0``, ``lm``, ``cm``, ``rm``."""
+        """Return the parameters of the netlist, and expressions for its circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the elements of the resonator, for other part types of this package."""
+        """Return the circuit elements of the resonator, for use by other parts."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the circuit elements of a part of a resolved scene."""
+        """Return the circuit elements of the part, from the record of the scene if it has them."""
         record = scene.record(part)
         if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
@@ -197,7 +206,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths in equilibrium, which connect all pins except the heat pin."""
+        """Return the paths for steady flow in equilibrium; the pin ``heat`` is on none of them."""
         paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
@@ -306,19 +315,24 @@ class ResonatorPart(NumberedPart[KeysT]):
 
 
 def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
-    """Return a value of a resonator as a function of the unknowns."""
+    """Return a function of the unknowns that computes ``value`` of their resonator."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
 def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
-    """Return the elements between two pins, with a leak that conserves charge on floating nets."""
+    """Yield the cards of the circuit between two pins, with a leak for floating nets.
+
+    The leakage current is proportional to the stored charge, so that the sum of floating charges is
+    conserved.
+    """
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
     yield Element.of("Vmeter", plus, "inner", "0")
     yield Element.of("C0", "inner", minus, "{c0}")
     for n in content.modes:
-        # The resistor is not joined to the capacitor, because its large conductance at the same
-        # node would cause rounding errors of the capacitor's small admittance.
+        # The inductor separates the resistor from the capacitor. At a common node, the large
+        # conductance of the resistor would cause rounding errors in the small admittance of the
+        # capacitor.
         inductor, capacitor = f"motion{n}", f"charge{n}"
         yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
         yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
@@ -328,7 +342,7 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
 
 
 def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
-    """Return the meter of the heat pin, and each motional resistance's power as a heat flow."""
+    """Yield the cards of the heat pin: its ammeter, and the power of each motional resistance."""
     yield from attach_comments(meter_cards())
     for n in content.modes:
         drop = f"V(inner,motion{n})"
@@ -336,7 +350,10 @@ def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
 
 
 def tolerance_note(value: float, tolerance: float | None) -> str:
-    """Return the tolerance range of a parameter for the header; empty without a tolerance."""
+    """Return the tolerance range of a parameter as text for the library header.
+
+    Without a tolerance, the text is empty.
+    """
     if tolerance is None:
         return ""
     low, high = (abbreviate_number(value * (1 + sign * tolerance)) for sign in (-1, 1))
@@ -344,5 +361,5 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def mode_suffixes(modes: int) -> Sequence[str]:
-    """Return the endings of the element names of each mode; empty for a single mode."""
+    """Return the suffix of the element names of each mode; an empty one for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

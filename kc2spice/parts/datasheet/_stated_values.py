@@ -1,7 +1,8 @@
-"""Unknowns of a circuit from the values of a data sheet, of which some may be redundant.
+"""Solution for the unknowns of a circuit that match the values of a data sheet.
 
-Each value is a function of the unknowns. Unknowns and values are positive, so that the equations
-are solved in logarithms: with ``x = ln(unknowns)`` and the tolerance t of each value,
+Some values may be redundant. Each value is a function of the unknowns. Unknowns and values are
+positive, and the equations are solved for their logarithms: with ``x = ln(unknowns)`` and the
+tolerance t of each value,
 
     minimise  sum_j (ln value_j(x) - ln stated_j)^2 / t_j^2.
 
@@ -20,17 +21,18 @@ import numpy as np
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three digits
-# step of central differences in logarithms, which have errors of 1e-10 and 1e-11
+# Step of the central differences with respect to logarithms; their errors are 1e-10 and 1e-11.
 DIFFERENCE_STEP = 1e-5
-# Relative singular value below which an unknown is undetermined; far above the errors of
+# Relative singular value below which an unknown counts as undetermined, far above the errors of the
 # differences.
 RANK_TOLERANCE = 1e-7
-SOLUTION_TOLERANCE = 1e-6  # relative error of an equation that counts as solved
+SOLUTION_TOLERANCE = 1e-6  # largest relative error of an equation that counts as solved
 # factor by which one unknown changes at the start of the search for a second circuit
 RESTART_FACTOR = 30.0
 # difference of the logarithm of an unknown above which two circuits differ
 DISTINCT_DIFFERENCE = 1e-3
-# In SI, far below all values of data sheets; the reciprocal is far above all values.
+# Smallest accepted value in SI units, far below all values of data sheets; its reciprocal is the
+# largest.
 SMALLEST_VALUE = 1e-24
 LARGEST_LOGARITHM = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
@@ -39,12 +41,13 @@ Relation = Callable[[np.ndarray], float]
 
 @dataclass(frozen=True, eq=False)
 class StatedValues:
-    """Values of a data sheet by their keys, and each value as a function of the unknowns.
+    """Stated values of a data sheet, and each value as a function of the unknowns.
 
-    ``relations`` contains the functions for all values that a data sheet can state. Their argument
-    is the vector of unknowns in SI. ``start`` contains the unknowns at the start of the iteration.
-    Each value has its stated relative ``tolerance``, otherwise the tolerance ``rounding``.
-    ``units`` are the units of the values.
+    ``stated`` contains the values by their keys. ``relations`` contains the functions for all
+    values that a data sheet can state. Their argument is the vector of unknowns in SI units.
+    ``start`` contains the unknowns at the start of the iteration. ``units`` contains the units of
+    the values. The relative tolerance of a value is its entry in ``tolerance``, or without one its
+    entry in ``rounding``.
     """
 
     part: str
@@ -56,11 +59,11 @@ class StatedValues:
     rounding: Mapping[str, float]
 
     def solve(self) -> np.ndarray:
-        """Return the unknowns.
+        """Return the unknowns that match the stated values, in SI units.
 
         Raises
         ------
-        UsageError : too few values, or values that contradict each other or match no circuit.
+        UsageError : the values are too few, contradict each other, or match no circuit.
         """
         self._require_computable()
         self._require_enough_values()
@@ -71,7 +74,7 @@ class StatedValues:
         return np.exp(result)
 
     def tolerance_of(self, key: str) -> float:
-        """Return the tolerance of a value, as a difference between logarithms."""
+        """Return the tolerance of the value ``key``, as a difference of logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:
@@ -81,42 +84,43 @@ class StatedValues:
     # --- equations --------------------------------------------------------------------------------
 
     def _logarithm(self, key: str, x: np.ndarray) -> float:
-        """Return the logarithm of a value at logarithms of the unknowns."""
+        """Return the logarithm of the value ``key`` for the logarithms ``x`` of the unknowns."""
         unknowns = np.exp(np.clip(x, -LARGEST_LOGARITHM, LARGEST_LOGARITHM))
         value = self.relations[key](unknowns)
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
     def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (unknowns,) of the logarithm of a value.
+        """Return the derivatives of the logarithm of the value ``key``.
 
-        The derivatives are with respect to the logarithms of the unknowns.
+        They are the derivatives with respect to the logarithms of the unknowns, an array
+        (unknowns,).
         """
         steps = DIFFERENCE_STEP * np.eye(x.size)
         rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _residual(self, key: str, x: np.ndarray) -> float:
-        """Return the logarithm of the ratio of a value to the stated value."""
+        """Return the logarithm of the ratio of the value at ``x`` to the stated value."""
         return self._logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
     def _fitted_unknowns(self) -> np.ndarray:
-        """Logarithms of the unknowns."""
+        """Logarithms of the unknowns, fitted to the stated values."""
         return self._fit_unknowns(np.log(self.start))
 
     def _fit_unknowns(self, start: np.ndarray) -> np.ndarray:
-        """Fit the logarithms of the unknowns to the stated values, beginning at ``start``."""
+        """Return the logarithms of the unknowns, fitted to the stated values from ``start`` on."""
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
         weights /= weights.max()
 
         def residuals(x: np.ndarray) -> np.ndarray:
-            """Return the weighted residuals of the fit."""
+            """Return the residuals of all stated values, divided by their tolerances."""
             return weights * [self._residual(key, x) for key in self.stated]
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            """Return the derivatives of the residuals."""
+            """Return the derivatives of the weighted residuals with respect to ``x``."""
             return weights[:, None] * [self._gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
@@ -124,12 +128,13 @@ class StatedValues:
         return np.asarray(result.x)
 
     def _drop_value(self, key: str) -> StatedValues:
-        """Return the values of the data sheet without one key."""
+        """Return a copy of the stated values without the value ``key``."""
         stated = {other: value for other, value in self.stated.items() if other != key}
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return the number of unknowns that the values determine."""
+        """Return the number of unknowns that the stated values and the values ``more``
+        determine."""
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 
@@ -167,7 +172,7 @@ class StatedValues:
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
-        """Reject values that determine the circuit but match no circuit."""
+        """Raise an error if the values are just enough but match no circuit."""
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._residual(key, x)) for key in self.stated}
@@ -187,10 +192,11 @@ class StatedValues:
         )
 
     def _require_agreement(self, x: np.ndarray) -> None:
-        """Reject values that match no circuit within their tolerances.
+        """Raise an error if redundant values contradict each other beyond their tolerances.
 
-        If ``S_k`` are the derivatives with respect to the other values, the implied value may
-        differ from the stated value by ``t + sum |S_k| t_k``.
+        The other values imply each redundant value. ``S_k`` are the derivatives of the implied
+        value with respect to the other values, and t and ``t_k`` are tolerances. The implied value
+        may differ from the stated value by ``t + sum |S_k| t_k``.
         """
         redundant = {}
         for key in self.stated if len(self.stated) > x.size else ():
@@ -205,20 +211,23 @@ class StatedValues:
         raise self._contradiction(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Return whether a value contradicts the value that all others imply."""
+        """Return whether the value ``key`` contradicts the value that all other values imply."""
         implied = sum(share * self._residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
         return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
 
     def _compute_correction(self, key: str) -> float:
-        """Return the logarithm of the ratio of a value to the value that all others imply."""
+        """Return how far the value ``key`` is from the value that all other values imply.
+
+        The distance is the magnitude of the logarithm of their ratio.
+        """
         return abs(self._residual(key, self._drop_value(key)._fitted_unknowns))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
 
-        The search begins at unknowns that are :data:`RESTART_FACTOR` times larger or smaller, one
-        unknown at a time.
+        The search for a second circuit begins with one of the unknowns larger or smaller by the
+        factor :data:`RESTART_FACTOR`, for each unknown in turn.
         """
         steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
@@ -238,18 +247,18 @@ class StatedValues:
                 )
 
     def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Return the logarithm of the ratio of a value in two circuits."""
+        """Return the logarithm of the ratio of the value ``key`` in two circuits."""
         return self._logarithm(key, x) - self._logarithm(key, y)
 
     def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Return the derivatives of the implied value of ``key`` by all other values."""
+        """Return the derivatives of the implied value of ``key`` with respect to other values."""
         weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
         slopes = np.array([self._gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
         return dict(zip(self.stated, self._gradient(key, x) @ solution, strict=True))
 
     def _contradiction(self, key: str, other: str) -> UsageError:
-        """Return the error of two values that contradict each other."""
+        """Return the error for the two contradicting values ``key`` and ``other``."""
         implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
             name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))

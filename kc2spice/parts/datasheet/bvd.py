@@ -37,11 +37,11 @@ from kc2spice.scene.parttype import register
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
-# Start values of the iteration, relative to the clamped capacitance and the frequency: the values
-# of a ceramic with a coupling of 0.22 and a Q factor of 100.
+# Start values of the iteration: ratio of motional to clamped capacitance, and Q factor. They belong
+# to a ceramic with a coupling coefficient of 0.22.
 START_RATIO = 0.05
 START_QUALITY = 100.0
-# ratio of motional to clamped capacitance that is smaller than the ratio of any crystal
+# smallest ratio of motional to clamped capacitance, below the ratio of any crystal
 SMALLEST_RATIO = 1e-9
 # Start values [Hz] and [F] of the iteration, if the keys do not state these values.
 FREQUENCY = 1e4
@@ -49,7 +49,7 @@ CLAMPED = 1e-9
 
 
 def _wrap_in_list(value: object) -> object:
-    """Return a single value as a list with one entry."""
+    """Return a tuple with a single value, and a list unchanged."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(
@@ -65,10 +65,9 @@ Modes = BeforeValidator(_wrap_in_list)
 
 
 class BvdKeys(RatedKeys):
-    """Values of a data sheet that determine the circuit; redundant values must agree.
+    """Values of a data sheet that determine a resonator; redundant values must agree.
 
-    For a part with several modes, the values are lists of equal length, with one entry for each
-    mode.
+    For a part with several modes, the values are lists with an entry for each mode.
     """
 
     fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
@@ -109,7 +108,7 @@ class BvdKeys(RatedKeys):
     )
 
 
-# Values of each mode, by their keys.
+# Functions that compute the data-sheet values of a mode, by key.
 MODE_VALUES: Mapping[str, Callable[..., float]] = {
     "fs": lambda circuit, mode: circuit.fs[mode],
     "fp": lambda circuit, mode: circuit.fp[mode],
@@ -175,7 +174,7 @@ stop = "10 kHz"
             )
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
-        """Return the elements of the resonator from its data sheet."""
+        """Return the circuit elements of the resonator from its data sheet."""
         keys, modes = part.keys, self._mode_count(part)
         stated: dict[str, float] = {}
         for name in MODE_VALUES:
@@ -199,7 +198,7 @@ stop = "10 kHz"
         return Resonator.from_unknowns(values.solve())
 
     def _mode_count(self, part: Part[BvdKeys]) -> int:
-        """Return the number of modes; lists of different lengths are a UsageError."""
+        """Return the number of modes; raise a UsageError if lists have different lengths."""
         counts = {name: len(v) for name in MODE_VALUES if (v := getattr(part.keys, name))}
         most = max(counts.values(), default=1)
         short = [name for name, count in counts.items() if count < most]
@@ -231,7 +230,7 @@ stop = "10 kHz"
                 )
 
     def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
-        """Return the parameters and the equations of the netlist."""
+        """Return the netlist parameters, and the equations of the circuit elements."""
         keys, modes = part.keys, len(circuit.fs)
         ends, params, constants = mode_suffixes(modes), list[Param](), dict[str, str]()
         level = "c0" if keys.c_low is None else "c_low"
@@ -257,7 +256,7 @@ stop = "10 kHz"
 
 
 def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
-    """Yield the errors of pairs of values that no circuit has."""
+    """Yield an error for each pair of stated values that no circuit can have."""
     keys = part.keys
     for fs, fp in zip(keys.fs, keys.fp, strict=False):
         if fs >= fp:
@@ -293,7 +292,7 @@ def _mode_labels(name: str, modes: int) -> list[str]:
 
 
 def _list_relations(modes: int, low: float) -> dict[str, Relation]:
-    """Return all values that a data sheet can state, as functions of the unknowns."""
+    """Return all values that a data sheet can state, each as a function of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():
         functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
@@ -304,7 +303,7 @@ def _list_relations(modes: int, low: float) -> dict[str, Relation]:
 
 
 def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
-    """Return the first unknowns of the iteration: stated values, or those of a typical ceramic."""
+    """Return the start values of the unknowns: stated values, or values of a typical ceramic."""
     ratio = np.full(modes, START_RATIO)
     if keys.keff:
         ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
@@ -327,14 +326,14 @@ def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
 
 
 def _ratio_key(keys: BvdKeys, modes: int) -> str:
-    """Return the parameter of the netlist that determines the motional capacitances."""
+    """Return the key of the netlist parameter that determines the motional capacitances."""
     if keys.cm:
         return "cm"
     return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
 
 
 def _loss_key(keys: BvdKeys, modes: int) -> str:
-    """Return the parameter of the netlist that determines the motional resistances."""
+    """Return the key of the netlist parameter that determines the motional resistances."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"
@@ -346,9 +345,10 @@ def _key_words(keys: BvdKeys, key: str, value: float) -> str:
 
 
 def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
-    """Return a parameter of one mode.
+    """Return the netlist parameter ``key`` of a mode.
 
-    The coupling factor is the coupling of this mode alone, because ``c0`` is also a parameter.
+    The coupling coefficient is the coefficient of this mode alone, because ``c0`` is also a
+    parameter.
     """
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
@@ -358,7 +358,7 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
 
 
 def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Return the equations of one mode for the circuit elements that are not parameters."""
+    """Return the equations of a mode's circuit elements that are not netlist parameters."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
     result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"

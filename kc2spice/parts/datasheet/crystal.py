@@ -24,12 +24,12 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-# Relative rounding error of the frequency of a crystal: a tenth of the usual frequency tolerance.
+# Relative rounding error of a stated frequency, a tenth of the usual frequency tolerance.
 FREQUENCY_ROUNDING = 1e-6
-# c1 / c0 and Q of usual crystals
+# Start values of the iteration: ratio c1 / c0 and Q factor of usual crystals.
 START_RATIO = 1 / 300
 START_QUALITY = 5e4
-SHUNT_CAPACITANCE = 3e-12  # F, typical of crystals
+SHUNT_CAPACITANCE = 3e-12  # F, typical shunt capacitance of a crystal
 
 
 class CrystalKeys(RatedKeys):
@@ -93,7 +93,7 @@ scale = "linear"
 """
 
     def resonator(self, part: Part[CrystalKeys]) -> Resonator:
-        """Return the elements of the crystal from its data sheet."""
+        """Return the circuit elements of the crystal from its data sheet."""
         keys = part.keys
         stated = {key: v for key in CRYSTAL_UNITS if (v := getattr(keys, key)) is not None}
         c1 = keys.c1 or START_RATIO * keys.c0
@@ -107,7 +107,7 @@ scale = "linear"
         return Resonator.from_unknowns(values.solve())
 
     def netlist(self, part: Part[CrystalKeys], circuit: Resonator) -> ResonatorNetlist:
-        """Return the parameters and the equations of the netlist."""
+        """Return the netlist parameters, and the equations of the circuit elements."""
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
         words = "frequency with the load cl" if loaded else "series resonance"
@@ -144,13 +144,13 @@ scale = "linear"
 
 
 def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
-    """Return the resonance frequency [Hz] of the crystal in series with a load capacitance [F]."""
+    """Return the resonance frequency [Hz] of the crystal with a load capacitance [F] in series."""
     shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
     return circuit.fs[0] * math.sqrt(1 + shift)
 
 
 def _list_relations(load: float | None) -> dict[str, Relation]:
-    """Return the values of the data sheet as functions of the unknowns."""
+    """Return all values that a data sheet can state, each as a function of the unknowns."""
     values: dict[str, Callable[[Resonator], float]] = {
         "f": lambda circuit: _loaded_frequency(circuit, load),
         "c0": lambda circuit: circuit.c0,

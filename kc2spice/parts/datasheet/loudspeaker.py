@@ -65,24 +65,24 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import register
 
-RADIATION = "radiation"  # part type whose impedance contains the mass of the air
-# s, le / re for a data sheet without le; the corner frequency of 159 kHz is above the audio band
+RADIATION = "radiation"  # part type that models the mass of the air at the cone
+# Default ratio le / re [s] for a data sheet without le. The corner frequency of 159 kHz is above the audio band.
 INDUCTANCE_TIME = 1e-6
 
 
 def _joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the acoustic pins that the scene joins."""
+    """Return the acoustic pins that the scene connects."""
     return tuple(
         side for side in (FRONT, REAR) if side in part.pins or scene.is_target(part.name, side)
     )
 
 
 def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
-    """Return the semi-inductance from the keys, None without one.
+    """Return the semi-inductance from the keys; None for a constant inductance.
 
     Raises
     ------
-    UsageError : a key without effect.
+    UsageError : a key has no effect, because another key is missing.
     """
     keys = part.keys
     if keys.ke is None and keys.rss is None:
@@ -108,9 +108,9 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
 
 
 def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
-    """Raise an error if a driver with acoustic pins lacks an area or has an impossible mass.
+    """Raise an error if a driver with acoustic pins has no area or too small a moving mass.
 
-    The mass is impossible if it is smaller than the mass of the air that it contains.
+    The moving mass is too small if it is less than the mass of the air that it includes.
     """
     if driver.sd is None or driver.mmd is None:
         raise part.wrong(
@@ -160,7 +160,7 @@ stop = "1 kHz"
 """
 
     def shared_data(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
-        """Return the parameters of the loudspeaker, for its box and other parts."""
+        """Return the parameters of the loudspeaker, for use by other parts."""
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
@@ -180,7 +180,7 @@ stop = "1 kHz"
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
         known = [key for key in DRIVER_UNITS if key not in AREA_KEYS or has_area]
         first = EXAMPLE_WOOFER | {name: stated[name] for name in names if name in stated}
-        # The iteration for a large cone must begin with a positive mmd.
+        # The iteration must begin with a positive mmd, also for a large cone.
         if "mmd" in stated and "mms" not in stated:
             first["mms"] = stated["mmd"] + 2 * baffle_air_mass(first["sd"])
         start = np.array(list(map(first.__getitem__, names)))
@@ -208,7 +208,7 @@ stop = "1 kHz"
         return driver
 
     def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
-        """Return the parameters of a part of a resolved scene."""
+        """Return the parameters of the part, from the record of the scene if it has them."""
         record = scene.record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve(part)
@@ -235,7 +235,10 @@ stop = "1 kHz"
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
     def mass_declaration(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
-        """Return the moving mass, without the air that parts of type radiation contain."""
+        """Return the declaration of the moving mass.
+
+        It excludes the mass of the air that connected parts of type ``radiation`` contain.
+        """
         driver = self._parameters(part, scene)
         sides = [
             side
@@ -248,13 +251,13 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path in equilibrium: the suspension between cone and frame."""
+        """Return the path for a steady force in equilibrium, the suspension from cone to frame."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        The results are those of the declaration, and the current and voltage of the whole part.
+        They are the results of the declaration, and the current and voltage of the whole part.
         """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
@@ -284,7 +287,7 @@ stop = "1 kHz"
     def _compute_impedances(
         self, part: Part[LoudspeakerKeys], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return frequencies [Hz] and impedances [Ohm] from a small-signal response."""
+        """Return the frequencies [Hz] and impedances [Ohm] of a small-signal analysis."""
         known = [waves.data.get(f"{part.name}.{result}") for result in ("v", "i")]
         if "frequency" not in waves or known[0] is None or known[1] is None:
             return None
@@ -328,7 +331,7 @@ stop = "1 kHz"
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
     ) -> Iterator[str | Neglected]:
-        """State for each side of the cone which part contains the mass of the air there."""
+        """Yield a note for each side of the cone that states which part contains the air mass."""
         load = f"{1e3 * baffle_air_mass(area):.3g} g"
         for side in (FRONT, REAR):
             if side not in sides:
@@ -366,7 +369,8 @@ stop = "1 kHz"
 def _describe_ladder(
     key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
 ) -> str:
-    """Describe a ladder by its size, band and error; ``unit`` [Hz] is the unit of ``band``."""
+    """Return the size, band and error of a ladder in words; ``unit`` [Hz] is the unit of
+    ``band``."""
     low, high = (f"{unit * end:.3g}" for end in band)
     return (
         f"{key}: a ladder of {len(ladder.corners)} elements from {low} to {high} Hz, whose largest "

@@ -24,18 +24,18 @@ from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Termin
 from kc2spice.scene.part_records import Neglected, Numerics
 from kc2spice.scene.parttype import register
 
-# Fraction of the operate time that is the rise time of the current, for a data sheet without an
+# Rise time of the current divided by the operate time, assumed for a data sheet without an
 # inductance.
 SHARE = 0.9
-# number of time constants from one end of the armature's travel to the middle
+# time from one end of the armature's travel to the middle, in time constants of the armature
 HALF_WAY_TIME = math.log(2)
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
     """Keys of a relay.
 
-    The armature moves when the product of current and coil resistance exceeds ``pick_up``, and
-    returns when this product falls below ``release``.
+    The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. It
+    releases when this product falls below ``release``.
     """
 
     resistance: Resistance = Field(gt=0, description="Resistance of the coil")
@@ -69,10 +69,11 @@ class RelayTiming:
 
 
 def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
-    """Compute the inductance and the time constant for the operate time at rated voltage.
+    """Return the coil inductance and the armature time constant that match the operate time.
 
-    The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then
-    reaches the middle of its travel after ``ln 2`` time constants.
+    At the rated voltage V, the current reaches its pick-up value after ``L/R ln(V / (V - Vp))``,
+    where L and R are inductance and resistance of the coil and Vp is the pick-up voltage. The
+    armature then reaches the middle of its travel after ``ln 2`` time constants.
     """
     keys = part.keys
     if not keys.release < keys.pick_up < keys.voltage:
@@ -118,11 +119,12 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
 
 
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
-    """Declare coil, armature and contacts; the position of the armature is 0 at rest, at most 1.
+    """Return the declaration of the coil, the armature and the contacts of a relay.
 
-    The armature moves towards 1 while the voltage across the resistance exceeds the pick-up
-    voltage. Beyond the middle, the release voltage replaces the pick-up voltage. Contacts switch in
-    the middle.
+    The position of the armature is 0 at rest and at most 1. The armature moves towards 1 while the
+    voltage across the coil resistance exceeds the pick-up voltage. Beyond the middle of its travel,
+    it does so while this voltage exceeds the release voltage. The contacts switch when the armature
+    is in the middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"
@@ -180,7 +182,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> RelayTiming:
-        """Return the times of the relay, for other part types of this package."""
+        """Return the inductance and the time constant of the relay, for use by other parts."""
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -219,12 +221,12 @@ pins = { a = "relay.com", b = "gnd" }
         return relay_law(params, keys.changeover)
 
     def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the coil and of the contacts, which need not be connected."""
+        """Return the pins of the coil, and the pins of the contacts, which may stay unconnected."""
         pins = super().pins(part, scene)
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the requirements of the declaration, and a time step that resolves the armature."""
+        """Yield numerical requirements, with a time step that resolves the armature's motion."""
         yield from super().numerics(part, scene)
         times = solve_timing(part)
         yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)

@@ -1,4 +1,4 @@
-"""An electrostatic comb drive, with a stop."""
+"""The part ``comb_drive``: an electrostatic comb drive with a stop."""
 
 from pydantic import Field
 
@@ -9,9 +9,9 @@ from kc2spice.scene.parttype import register
 
 
 class CombDriveKeys(_stop.StopKeys):
-    """Keys of a comb drive with ``C = 2 fingers eps0 thickness (overlap + x) / gap``.
+    """Keys of a comb drive with the capacitance ``C = 2 fingers eps0 thickness (overlap + x) / gap``.
 
-    The force ``fingers eps0 thickness v^2 / gap`` does not depend on x.
+    The force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
     """
 
     fingers: Ratio = Field(

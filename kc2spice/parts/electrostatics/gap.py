@@ -1,24 +1,26 @@
 """Gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
 
-The face is one port or a row of ports. Each port is a patch, and x is the displacement of this
-patch upwards. The distance d is ``gap - x`` to an electrode above the patch, and ``gap + x`` to an
-electrode below. A patch of area A has the coenergy ``C v^2 / 2`` with ``C = permittivity eps0 A /
-d``. With ``fringing``, C is the capacitance of a strip of width w and thickness t, per length
-``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T.
-Fokkema, Integration 2 (1984) 85). Beyond ``travel``, a stop acts
-(:mod:`kc2spice.parts.mechanics._stop`).
+The face consists of patches. Each patch is a port of the body, and x is the upward displacement of
+the patch. Its distance d to the electrode is ``gap - x`` for an electrode above, and ``gap + x``
+for an electrode below. At the voltage v, a patch of area A has the coenergy ``C v^2 / 2`` with the
+capacitance ``C = permittivity eps0 A / d``. With ``fringing``, C is the capacitance of a strip of
+width w and thickness t. Its capacitance per length is ``eps0 permittivity (w/d + 0.77 + 1.06
+(w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2 (1984) 85). Beyond
+the displacement ``travel``, a stop acts (:mod:`kc2spice.parts.mechanics._stop`).
 
-The film of gas is a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
-(1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd. Each term
-is a damper c in series with a spring k of the trapped gas. The patches move each term in proportion
-to their share of the term::
+The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
+Lubr. Technol. 105 (1983) 615). Its pressure is a series of the terms ``sin(m pi x / l) sin(n pi y /
+w)`` with odd m and n. Each term is a damper c in series with a spring k of the trapped gas. The
+displacement of a term is the sum of the patch displacements, weighted with the share of each patch
+in the term::
 
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
 
-The largest ``branches`` terms have a spring, and the dampers of all other terms form one damper.
-The number of branches is so large that damping and force are within a tolerance up to the highest
-frequency of the scene. All dampers grow as ``(gap / mean d)^3`` when the gap closes.
+The ``branches`` largest terms have a spring, and the dampers of all other terms form a single
+damper. By default, the number of branches keeps the errors of damping and force within a tolerance
+up to the highest frequency of the scene. All dampers grow as ``(gap / mean d)^3`` when the gap
+closes.
 """
 
 from __future__ import annotations
@@ -68,29 +70,34 @@ from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 
 PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
-# Error of the ratio of force to displacement at an operating point, which iterations cause.
+# Relative error of the ratio of force to displacement that the iterations of an operating point
+# cause.
 ITERATION_ROUNDING = 1e-9
-# Smallest relative change of the capacitance that counts; far above rounding errors of ngspice at
-# rest.
+# Largest relative change of the capacitance that counts as zero, far above the rounding errors of
+# ngspice.
 MAX_CAPACITANCE_CHANGE = 1e-5
-# Largest odd m and n of the series; the remaining terms contribute 1e-4 of the damping.
+# Largest odd m and n of the film series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
 # ratio of the number of film branches in ``verify`` to the number in the netlist
 REFINEMENT_RATIO = 2
-# Smallest and largest number of branches; the motion can be faster than the drive.
+# Smallest and largest number of film branches. The smallest number exceeds 1, because the motion
+# can be faster than the drive.
 FEWEST = 3
 MOST = 100
 
 
 class FringingKeys(Section):
-    """Fringing field of a strip over a plane."""
+    """Keys for the fringing field between a strip and a plane."""
 
     width: Length = Field(gt=0, description="Width of the strip")
     thickness: Length = Field(gt=0, description="Thickness of the strip")
 
 
 class SqueezeFilmKeys(Section):
-    """Gas film between the faces, vented on all sides; the patches are strips across its length."""
+    """Keys of a gas film that is vented on all sides.
+
+    The patches of the body divide the length of the film into strips.
+    """
 
     length: Length = Field(gt=0, description="Length of the face along the row of patches")
     width: Length = Field(gt=0, description="Width of the face")
@@ -115,9 +122,10 @@ class SqueezeFilmKeys(Section):
 
 
 class GapKeys(_stop.StopKeys):
-    """Keys of a gap.
+    """Keys of a gap between the face of a body and a fixed electrode.
 
-    ``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports.
+    ``a`` is the name of a body with a row of patches, a port such as ``beam.tip``, or a list of
+    ports.
     """
 
     a: str | tuple[str, ...] = Field(
@@ -155,7 +163,7 @@ class GapKeys(_stop.StopKeys):
 
 
 class PatchedPart(DeclaredPart[KeysT]):
-    """Part that acts on a row of patches ``p1`` …; its key ``a`` determines their number."""
+    """Part that acts on a row of patches through pins ``p1`` …, as many as its key ``a`` names."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -163,12 +171,12 @@ class PatchedPart(DeclaredPart[KeysT]):
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Join each patch pin to its port of the body."""
+        """Return the default connection of each patch pin, a port of the body."""
         return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
 
 
 class Gap(PatchedPart[GapKeys]):
-    """Part type ``gap``, whose keys determine the number of branches."""
+    """Part type ``gap``; its keys determine the number of patches and of film branches."""
 
     discretisations = ("film.branches",)
 
@@ -177,7 +185,7 @@ class Gap(PatchedPart[GapKeys]):
         return self._declare_branches(part, scene, count_film_branches(part, scene))
 
     def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
-        """Return the declaration after the model is built."""
+        """Return the declaration with the number of film branches of the built model."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.make_declaration(part, build.scene)
@@ -186,21 +194,21 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
-        """Return the number of film branches.
+        """Return the number of film branches of the reference model; None for the netlist's own.
 
         With ``full``, the film has :data:`REFINEMENT_RATIO` times as many branches as the netlist.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
-        """Return the law, without pins of film branches that the netlist lacks."""
+        """Return the model equations, without pins of film branches that the netlist lacks."""
         result, known = super().law(part, build), set(names_of(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
     def _declare_branches(
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
-        """Return the declaration of a gap with the branches of its film."""
+        """Return the declaration of a gap with the given number of film branches."""
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
@@ -255,8 +263,8 @@ class Gap(PatchedPart[GapKeys]):
 
         At pull-in, the first patch touches the stop. At release, the last patch leaves the stop.
         Each voltage is the mean of the points before and after the event. In ``ac``, the metrics
-        are stiffness and damping at the last frequency: the real part of force over displacement,
-        and the imaginary part over ``2 pi f``.
+        are the stiffness and the damping at the last frequency f. The stiffness is the real part of
+        force divided by displacement, and the damping is the imaginary part divided by ``2 pi f``.
         """
         of = {
             "x": _list_patch_waves(part, "x", waves),
@@ -287,7 +295,7 @@ class Gap(PatchedPart[GapKeys]):
 
 
 def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the ports of the body under a part's patches, in their order."""
+    """Return the ports of the body on which a part acts, in the order of its patches."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
@@ -303,7 +311,7 @@ def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return the number of terms of the film that have a spring; 0 without a film."""
+    """Return the number of terms of the film series that have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -320,9 +328,10 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def truncation_error(film: SqueezeFilmKeys, gap: float, branches: int, frequency: float) -> float:
     """Return the larger of the relative errors of damping and force with ``branches`` springs.
 
-    The error is computed at the ``frequency`` [Hz]. A term of the film series has the ratio of
-    force to displacement ``z = j w c / (1 + j w c / k)``, or ``j w c`` without a spring. The
-    imaginary part is proportional to the damping.
+    The errors are computed at ``frequency`` [Hz]. A term of the film series has the ratio of force
+    to displacement ``z = j w c / (1 + j w c / k)``, or ``j w c`` without a spring. c is the damper,
+    k the spring and w the angular frequency. The damping is proportional to the imaginary part of
+    z.
     """
     if not frequency:
         return 0.0
@@ -334,16 +343,15 @@ def truncation_error(film: SqueezeFilmKeys, gap: float, branches: int, frequency
 
 
 def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Return the recorded displacements ``x`` or forces ``force`` of all patches."""
+    """Return the recorded waveforms of all patches for ``word``, which is ``x`` or ``force``."""
     prefix = f"{part.name}.{word}"
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
 
 
 def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
-    """Yield checks of the film's series at the highest frequency of a run.
+    """Yield checks of the error of the film series at the highest frequency of a run.
 
-    In a transient, this frequency is the frequency below which the velocity of the patches has 99.9
-    % of its energy.
+    In a transient, 99.9 % of the energy of the patch velocities is below this frequency.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:
@@ -369,9 +377,10 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
 
 @lru_cache(maxsize=32)
 def _declare(text: str, count: int, film_branches: int, top: float) -> Declaration:
-    """Declare a gap with ``count`` patches and ``film_branches`` branches of its film.
+    """Return the declaration of a gap with ``count`` patches and ``film_branches`` film branches.
 
-    The branches resolve frequencies up to ``top`` [Hz].
+    ``text`` contains the keys of the gap as a JSON string. The branches resolve frequencies up to
+    ``top`` [Hz].
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
@@ -383,10 +392,11 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
     for k, share in enumerate(shares, 1):
         numbers[f"share{k}"] = share
         branches.append(displacement(f"x{k}", f"p{k}", "b", f"force{k}"))
-        # The divisor is the relative gap, 1 at rest, because ngspice adds 1e-32 to every divisor.
+        # The divisor is the gap relative to the gap at rest, because ngspice adds 1e-32 to every
+        # divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
-        # The argument of a root must not be negative in any iteration.
+        # The gap is limited, because the argument of a root must not be negative in any iteration.
         if keys.fringing is not None:
             gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
@@ -436,7 +446,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
 def _list_neglected_effects(
     keys: GapKeys, branches: int, top: float
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the effects that a gap neglects."""
+    """Yield the effects that the model of a gap neglects: name, reason and size."""
     if keys.fringing is None:
         yield "fringing field", "no key fringing", "of the order of gap / width"
     if keys.film is None:
@@ -460,9 +470,10 @@ def _list_neglected_effects(
 
 
 def _series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the dampers, the springs and the indices m of all terms, each (n,).
+    """Return the dampers, the springs and the indices m of all terms of the film series.
 
-    The dampers are multiplied by gap^3, and the springs by gap. The largest dampers are first.
+    Each is an array of shape (n,), largest damper first. The dampers are multiplied by gap^3, and
+    the springs by gap.
     """
     area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
@@ -476,7 +487,7 @@ def _series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.nda
 def _split_series(
     film: SqueezeFilmKeys, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Split the series into terms with a spring, and the sum of all other dampers.
+    """Return the terms of the film series with a spring, and the sum of all other dampers.
 
     A term contains the damper times gap^3, the spring times gap, and the share of each patch in the
     motion of the term.
