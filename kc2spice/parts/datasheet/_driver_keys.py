@@ -35,7 +35,8 @@ Area = Annotated[float, si("m2")]
 class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     """Values of a data sheet that determine a loudspeaker driver; redundant values must agree.
 
-    Their relations are ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
+    Their relations are ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms`` and
+    ``vas = rho c^2 sd^2 cms``
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
     """
 

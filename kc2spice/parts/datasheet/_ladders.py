@@ -124,8 +124,7 @@ def fit_ladder(
 
 @cache
 def semi_inductance_ladder() -> RelaxationLadder:
-    """Return the ladder for ``1/sqrt(s)``, the admittance of a semi-inductance of one
-    semi-henry."""
+    """Return the ladder for ``1/sqrt(s)``, the admittance of a semi-inductance of 1 semi-henry."""
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 

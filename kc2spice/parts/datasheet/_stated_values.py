@@ -133,8 +133,7 @@ class StatedValues:
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return the number of unknowns that the stated values and the values ``more``
-        determine."""
+        """Return the number of unknowns that the stated values, and the values ``more``, fix."""
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 

@@ -35,7 +35,7 @@ from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
 MAX_MODES = 8
-CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets state capacitances
+CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets usually state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
 # Start values of the iteration: ratio of motional to clamped capacitance, and Q factor. They belong
 # to a ceramic with a coupling coefficient of 0.22.

@@ -66,7 +66,8 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import register
 
 RADIATION = "radiation"  # part type that models the mass of the air at the cone
-# Default ratio le / re [s] for a data sheet without le. The corner frequency of 159 kHz is above the audio band.
+# Default ratio le / re [s] for a data sheet without le. The corner frequency of 159 kHz is above
+# the audio band.
 INDUCTANCE_TIME = 1e-6
 
 
@@ -369,8 +370,7 @@ stop = "1 kHz"
 def _describe_ladder(
     key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
 ) -> str:
-    """Return the size, band and error of a ladder in words; ``unit`` [Hz] is the unit of
-    ``band``."""
+    """Return size, band and error of a ladder in words; ``unit`` [Hz] is the unit of ``band``."""
     low, high = (f"{unit * end:.3g}" for end in band)
     return (
         f"{key}: a ladder of {len(ladder.corners)} elements from {low} to {high} Hz, whose largest "

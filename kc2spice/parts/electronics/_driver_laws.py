@@ -1,9 +1,9 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
-Each function declares the circuit of a template ``templates/driver_….j2`` with its nodes. The
-content describes resistors, the coenergy describes capacitors, and output currents describe
-controlled sources. Inner nodes of a driver are pins to which no other part is joined. The laws do
-not include noise.
+Each function declares the circuit of a template ``templates/driver_….j2`` with its nodes. In the
+declaration, the content function describes resistors, the coenergy describes capacitors, and output
+currents describe controlled sources. An inner node of a driver is declared as a pin to which no
+other part is connected. The equations do not include noise.
 """
 
 from __future__ import annotations
@@ -19,28 +19,30 @@ from kc2spice.physics.law import DeclaredLaw
 
 OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
 STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
-RAIL_STIFFNESS = 1e3  # 1/V, ratio of the restoring rate to the slew rate, per volt beyond a rail
+RAIL_STIFFNESS = 1e3  # restoring rate divided by the slew rate, per volt beyond a rail [1/V]
 FULL_TURN = repr(2 * math.pi)
 # Parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
-# Gain of a linear amplifier for a voltage beyond a rail: 1 kS divided by 1 mS of the input stage.
+# Gain with which a linear amplifier limits a voltage beyond a rail: 1 kS of the rail divided by 1
+# mS of the input stage.
 RAIL_GAIN = 1e6
-# amplitude of the sine whose arcsine is the triangle; an amplitude below 1 rounds the corners
+# Amplitude of the sine in the arcsine that generates the triangle. An amplitude below 1 rounds the
+# corners of the triangle.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
 SENSE_LOAD = 1e3  # Ohm, resistor that converts a current to the voltage of a sensor
-GATE = 12.0  # V, supply of the gates
-THRESHOLD = 3.0  # threshold voltage of the transistors
-SATURATION_CURRENT = 1e-14  # A, of the diodes between source and drain
+GATE = 12.0  # supply voltage [V] of the gate drivers
+THRESHOLD = 3.0  # threshold voltage [V] of the transistors
+SATURATION_CURRENT = 1e-14  # saturation current [A] of the diodes from source to drain
 THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 
 
 def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
-    """Declare the amplifier of gain 20 between ``rail`` and ``sink`` [V].
+    """Return the declaration of an amplifier with the gain 20 and the rails ``rail`` and ``sink``.
 
-    Two dividers divide the command and the feedback by 20. The feedback divider has 20 kOhm from
-    ``drive`` to ``ref``.
+    ``sink`` [V] is the lower rail. Two voltage dividers divide the command and the feedback by 20.
+    The feedback divider has 20 kOhm from ``drive`` to ``ref``.
     """
     return Declaration(
         "amplifier",
@@ -58,9 +60,10 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
 
 
 def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
-    """Declare the charge drive, whose amplifier controls the voltage of ``cathode``.
+    """Return the declaration of a charge drive, which controls the voltage of ``cathode``.
 
-    The leak conductance of chip and sense capacitor in siemens equals the capacitance in farads.
+    Chip and sense capacitor have leak conductances, which in siemens equal their capacitances in
+    farads.
     """
     product = "bandwidth*(sense + capacitance)/capacitance"
     return Declaration(
@@ -82,11 +85,11 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
 
 
 def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declaration:
-    """Declare the current source, with ``sense`` [Ohm] from ``ret`` to ``ref``.
+    """Return the declaration of a linear current source.
 
-    R1 = 1 kOhm connects ``ret`` to ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to
-    ``middle``. A capacitor connects ``middle`` to ``drive``. Its time constant with R2 is
-    ``constant``.
+    A sense resistor ``sense`` [Ohm] connects ``ret`` to ``ref``. R1 = 1 kOhm connects ``ret`` to
+    ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to ``middle``. A capacitor connects
+    ``middle`` to ``drive``. Its time constant with R2 is ``constant``.
     """
     return Declaration(
         "linear_drive",
@@ -104,10 +107,11 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
 
 
 def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
-    """Declare the half-bridge with both transistors, their gates and the reservoir ``tank``.
+    """Return the declaration of a half-bridge with two transistors and a reservoir.
 
-    A transistor of level 1 has this current from drain to source, where v_gs and v_gd are the
-    voltages from gate to source and from gate to drain::
+    The reservoir is the capacitor at the node ``tank``. A MOS transistor of SPICE level 1 has the
+    following current from drain to source. v_gs is the voltage from gate to source, v_gd from gate
+    to drain, and v_sd from source to drain::
 
         i = kp/2 (max(0, v_gs - THRESHOLD)^2 - max(0, v_gd - THRESHOLD)^2)
             - SATURATION (exp(v_sd / THERMAL_VOLTAGE) - 1)
@@ -145,13 +149,13 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
 def declare_pwm_drive(
     parameters: Iterable[Param], carrier: float, headroom: float, shunt: float, sense: float
 ) -> Declaration:
-    """Declare the H-bridge with its modulator and its PI controller.
+    """Return the declaration of an H-bridge with its modulator and its PI controller.
 
     A comparator compares the output of the controller with a triangle between plus and minus
     ``carrier`` [V]. The triangle is the arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is
     the resistor in the return line. ``sense`` [Ohm] is the amplified voltage for each ampere in the
-    shunt. The operational amplifier of the controller has a linear input stage, and the rails are
-    plus and minus ``headroom carrier``.
+    shunt. The operational amplifier of the controller has a linear input stage. Its rails are plus
+    and minus ``headroom`` times ``carrier``.
     """
     rounded = f"{SINE_SHARE!r}*sine"
     supply = headroom * carrier
@@ -188,17 +192,17 @@ def declare_pwm_drive(
 
 
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
-    """Return the current [A] of a transistor from ``drain`` to ``source``."""
+    """Return the expression of a transistor's current [A] from ``drain`` to ``source``."""
     ends = (f"max(0, {gate} - {end} - {THRESHOLD!r})^2" for end in (source, drain))
     diode = f"{SATURATION_CURRENT!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
     return f"0.5*kp*({' - '.join(ends)}) - {diode}"
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return the branches of nodes and of ``command`` to ``ref``.
+    """Return the branches from each node, and from ``command``, to ``ref``.
 
-    Every node has two branches to ``ref``: ``NAME``, which carries the current ``i_NAME``, and
-    ``v_NAME``, which only measures the voltage.
+    Every node has two branches to ``ref``. The branch ``NAME`` carries the current ``i_NAME``, and
+    the branch ``v_NAME`` only measures the voltage.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
@@ -206,15 +210,16 @@ def _declare_nodes(*names: str) -> tuple[Branch, ...]:
 
 
 def _write_output_current(node: str) -> str:
-    """Return the limited current [A] that an operational amplifier delivers to a node."""
+    """Return the expression of an amplifier's limited output current [A] into a node."""
     return f"current_limit*clip((compensation - v_{node})/({OUTPUT_RESISTANCE!r}*current_limit))"
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
-    """Return the derivative [V/s] of an amplifier's voltage c before its output resistance.
+    """Return the expression of the rate [V/s] of an amplifier's internal voltage c.
 
-    ``difference`` [V] is the difference of the inputs, and ``low`` and ``high`` are the rails.
-    ``unity`` is the angular frequency of unit gain::
+    c is the voltage before the output resistance. ``difference`` [V] is the difference of the input
+    voltages, and ``low`` and ``high`` are the rails. ``unity`` is the angular frequency of unit
+    gain, and ``slew`` is the slew rate::
 
         rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
                - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
@@ -226,17 +231,21 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
 
 
 def _write_excess(low: str, high: str) -> str:
-    """Return the excess [V] of an amplifier's voltage before its output resistance over a rail."""
+    """Return the expression of the voltage [V] by which an amplifier exceeds a rail.
+
+    The amplifier's voltage is the voltage before its output resistance.
+    """
     return f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
 
 
 def build_driver_equations(
     name: str, declared: Declaration, inner_node: str, terminals: Iterable[str]
 ) -> laws.Equations:
-    """Build the equations of the driver ``name``, whose last resistor begins at ``inner_node``.
+    """Return the model equations of the driver ``name``.
 
-    Results are the voltages of ``command`` and ``terminals``, and the current ``NAME.i`` through
-    this resistor to the first terminal.
+    The results are the voltages of ``command`` and ``terminals``, and the output current
+    ``NAME.i``. This current flows through the last resistor, from ``inner_node`` to the first
+    terminal.
     """
     values, pins = declared.values(Section()), ("command", *terminals)
     results = {f"{name}.{pin}": laws.scale_wave(f"{name}.{pin}") for pin in pins}
@@ -249,5 +258,5 @@ def build_driver_equations(
 
 
 def make_parameters(values: Mapping[str, float]) -> tuple[Param, ...]:
-    """Return the numbers of a template as parameters of a declaration."""
+    """Return the numeric values of a template as parameters of a declaration."""
     return tuple(Param(name, value, "-", "") for name, value in values.items())

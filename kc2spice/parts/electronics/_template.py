@@ -1,6 +1,6 @@
-"""Parts whose netlist is a template of ``templates/``, and the common base of all drivers.
+"""Base classes of parts with a netlist template in ``templates/``, and of all drivers.
 
-A driver is the electronics between a command and electrodes or coils. The module also contains the
+A driver is the electronic circuit between a command voltage and electrodes or coils. The module also contains the
 operational amplifier of these templates.
 """
 
@@ -53,7 +53,7 @@ _NOTHING: Mapping[str, Any] = {}
 
 
 class InputNoise(Section):
-    """White noise of the inputs of an operational amplifier, only in noise analyses."""
+    """Keys for the white input noise of an operational amplifier, used in noise analyses only."""
 
     noise_voltage: Voltage | None = Field(
         None,
@@ -72,10 +72,11 @@ class InputNoise(Section):
 
 
 class TemplatePart(PartType[KeysT]):
-    """Part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
+    """Part with the netlist ``templates/TEMPLATE.j2``, where TEMPLATE is ``template``.
 
-    ``heading`` describes the part in the first line of its library. ``fixed`` are the pins, and
-    ``constants`` are numbers of the template that no key sets.
+    ``heading`` describes the part in the first line of its library. ``fixed`` contains the pins.
+    ``constants`` contains numbers of the template that no key sets. ``opamp`` is the level of the
+    operational amplifier in the template; None if there is none.
     """
 
     template: ClassVar[str]
@@ -93,7 +94,7 @@ class TemplatePart(PartType[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the parameters of the netlist, and further values of the template."""
+        """Return the parameters of the netlist, and additional values for the template."""
         return parameters(part.keys), _NOTHING
 
     def subcircuits(
@@ -112,7 +113,7 @@ class TemplatePart(PartType[KeysT]):
         params: tuple[Param, ...],
         values: Mapping[str, Any] = _NOTHING,
     ) -> Subcircuit:
-        """Return the library of the driver as a subcircuit with this name."""
+        """Return the subcircuit ``name``, rendered from the template of the part."""
         limits = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**limits, **self.constants, **values}
         result = render_library(
@@ -126,7 +127,7 @@ class TemplatePart(PartType[KeysT]):
 
 
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
-    """Return the keys ``names``, by default all keys, as positive parameters of a netlist."""
+    """Return the keys ``names`` as positive netlist parameters; by default all keys."""
     return tuple(
         positive_parameter(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in list_schema_keys(type(keys))
@@ -139,10 +140,10 @@ def opamp_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of an operational amplifier with output resistance and input offset.
 
-    ``V(out) = A(s) (V(inp) - V(inn))``, ``A = a0 / (1 + s a0 / (2 pi gbw))``, between the rails
-    ``vee`` and ``vcc``. The level ``slew`` also limits slew rate and output current, in the
-    subcircuit ``opamp_slew``. The ``noise`` of the inputs consists of voltages of resistors of 1
-    Ohm, ``sqrt(4 k T 1 Ohm)``, times a gain.
+    Between the rails ``vee`` and ``vcc``, the output voltage is ``V(out) = A(s) (V(inp) - V(inn))``
+    with ``A = a0 / (1 + s a0 / (2 pi gbw))``. With the level ``slew``, the subcircuit
+    ``opamp_slew`` also limits slew rate and output current. Its input ``noise`` is the thermal
+    noise ``sqrt(4 k T 1 Ohm)`` of resistors of 1 Ohm, multiplied by a gain.
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
@@ -169,8 +170,8 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-# Relative margin of voltages and currents, for the resistance of supplies and errors of saved
-# points.
+# Relative margin of rail checks, which allows for the resistance of supplies and the errors of
+# saved time points.
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -178,7 +179,10 @@ OVERDRIVE_ADVICE = (
 
 
 class CoilLoad(NamedTuple):
-    """Load between ``drive`` and ``ret``: both coils in series, the lower coil reversed."""
+    """Load of a coil driver between its pins ``drive`` and ``ret``.
+
+    Both coils are in series, with the lower coil reversed.
+    """
 
     inductance: float  # H
     resistance: float  # Ohm
@@ -186,7 +190,10 @@ class CoilLoad(NamedTuple):
 
 
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
-    """Return the results ``PART.PIN``: voltages from pins to ``ref``, otherwise to node 0."""
+    """Return the vectors of the results ``PART.PIN``, which are pin voltages.
+
+    They are relative to the pin ``ref`` if the part has it, otherwise to node 0.
+    """
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
     for pin in pins:
@@ -204,9 +211,9 @@ def ends(*terminals: str) -> tuple[Terminal, ...]:
 
 
 class Driver(TemplatePart[KeysT]):
-    """Part with the pin ``command`` and driven terminals.
+    """Base class of drivers, which have the pin ``command`` and output terminals.
 
-    The last resistor of its netlist is ``Rout``, which begins at ``inner_node``.
+    The last resistor of the netlist is ``Rout``, from ``inner_node`` to the first terminal.
     """
 
     opamp: ClassVar[Level | None] = "slew"
@@ -221,7 +228,7 @@ class Driver(TemplatePart[KeysT]):
 
     @abstractmethod
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Declare the circuit of the driver's netlist with these parameters."""
+        """Return the declaration of the driver's circuit with these parameters."""
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the part."""
@@ -234,7 +241,7 @@ class Driver(TemplatePart[KeysT]):
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the template if the scene has one driver of this type."""
+        """Return the name of the driver's template, or of the part if the scene has several."""
         return (
             self.template.removeprefix("driver_")
             if len(scene.list_parts(self.name)) == 1
@@ -250,10 +257,10 @@ class Driver(TemplatePart[KeysT]):
         return result | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Check that the load does not drive the amplifier's output voltage beyond its rails.
+        """Yield the check that the load does not drive the amplifier's output beyond its rails.
 
-        The output voltage is behind all resistances. In a bridge, diodes keep the voltage within
-        the rails.
+        The checked voltage is the voltage before all output resistances. A bridge is not checked,
+        because its diodes keep the voltage within the rails.
         """
         name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
@@ -272,9 +279,10 @@ class Driver(TemplatePart[KeysT]):
 
 
 class CoilDriver(Driver[KeysT]):
-    """Source of the current ``V(command) / 100 Ohm`` for the coils at its terminals.
+    """Base class of drivers that are current sources for coils.
 
-    The control loop is designed for these coils.
+    The current is ``V(command) / 100 Ohm``. The control loop is designed for the coils at the
+    terminals.
     """
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
@@ -282,22 +290,25 @@ class CoilDriver(Driver[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the values that the template needs."""
+        """Return netlist parameters and template values, adapted to the connected coils."""
         return self.adapt_to_load(part.keys, self.load(part, build))
 
     @abstractmethod
     def adapt_to_load(
         self, keys: Any, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return parameters and values of the template for these coils."""
+        """Return netlist parameters and template values for the coils ``load``."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Join the command to the only controller of the scene."""
+        """Return the default connection, from ``command`` to the only controller of the scene."""
         control = scene.find_only_part("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part[KeysT], build: Build) -> CoilLoad:
-        """Return the load: coils at the driver's terminals, with the sphere at the set point."""
+        """Return the load of the driver, the coils at its terminals.
+
+        Their inductance is the inductance with the sphere at its set point.
+        """
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
@@ -317,7 +328,7 @@ class CoilDriver(Driver[KeysT]):
 
 
 def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
-    """Return the part of this kind at a pin."""
+    """Return the part of type ``kind`` that is connected to ``pin``; None if there is none."""
     joined = (scene.parts[name] for name, _ in scene.joined_pins(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)
 
@@ -325,6 +336,6 @@ def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | N
 def make_rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
-    """Return the check ``low <= volts <= high`` within ``slack`` [V]."""
+    """Return the check that ``volts`` stay between ``low`` and ``high``, within ``slack`` [V]."""
     beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
     return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)

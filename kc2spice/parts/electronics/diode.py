@@ -24,7 +24,9 @@ from kc2spice.scene.parttype import register
 
 
 class DiodeKeys(Section):
-    """Keys of a diode, ``i = IS (exp((v - RS i)/(N VT)) - 1)`` with capacitance and breakdown.
+    """Keys of a diode with the current ``i = IS (exp((v - RS i)/(N VT)) - 1)``.
+
+    The model also contains capacitance and breakdown.
 
     The defaults are common values of the small-signal diode 1N4148 for 100 V.
     """
@@ -60,7 +62,7 @@ class Diode(TemplatePart[DiodeKeys]):
     def template_values(
         self, part: Part[DiodeKeys], build: Build
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the values that the template needs."""
+        """Return the parameters of the diode model; the template needs no other values."""
         keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
@@ -86,7 +88,10 @@ class Diode(TemplatePart[DiodeKeys]):
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the tolerances that a transient of the diode needs."""
+        """Yield a tighter tolerance for all analyses except transients.
+
+        Newton's method needs it, because the equation of the diode is exponential.
+        """
         if scene.analysis.type != "transient":
             change = "1e-9", "change at which Newton's method stops: exponential laws"
             yield Numerics(part.name, options={"reltol": change})

@@ -1,4 +1,4 @@
-"""The drivers: the circuit and the keys of each type."""
+"""The part types of drivers: keys, circuit and supply voltages of each type."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from kc2spice.scene.parttype import register
 
 
 class AmplifierKeys(InputNoise):
-    """High-voltage operational amplifier with a class-AB output stage, gain 20."""
+    """Keys of a high-voltage operational amplifier with a class-AB output stage and gain 20."""
 
     rail: Voltage = Field(120.0, gt=0, description="Supply voltage of the driver")
     resistance: Resistance = Field(2.0, gt=0, description="Resistance between amplifier and chip")
@@ -70,16 +70,19 @@ class Amplifier(Driver[AmplifierKeys]):
     constants: ClassVar = {"sink": -10}  # V, the lower rail
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the constitutive equations of the circuit."""
+        """Return the declaration of the amplifier's circuit."""
         return declare_amplifier(parameters, self.constants["sink"])
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
-        """Return the lowest output voltage and the supply voltage [V]."""
+        """Return the lower and the upper rail [V] of the amplifier."""
         return self.constants["sink"], part.keys.rail
 
 
 class ChargeKeys(InputNoise):
-    """Amplifier that controls the chip's charge: ``capacitance`` times the kick pulse's voltage."""
+    """Keys of an amplifier that controls the charge of a chip.
+
+    The charge is ``capacitance`` times the command voltage.
+    """
 
     capacitance: Capacitance = Field(
         150e-9, gt=0, description="Charge of the chip per volt of command"
@@ -104,7 +107,7 @@ class ChargeDrive(Driver[ChargeKeys]):
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the constitutive equations of the circuit."""
+        """Return the declaration of the charge drive's circuit."""
         return declare_charge_drive(parameters)
 
     def rails(self, part: Part[ChargeKeys]) -> tuple[float, float]:
@@ -113,7 +116,7 @@ class ChargeDrive(Driver[ChargeKeys]):
 
 
 class HalfBridgeKeys(Section):
-    """Two transistors at a charged capacitor.
+    """Keys of a half-bridge of two transistors that is supplied by a charged capacitor.
 
     The upper transistor conducts during the kick pulse.
     """
@@ -151,16 +154,19 @@ class HalfBridge(Driver[HalfBridgeKeys]):
     inner_node = "bridge"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the constitutive equations of the circuit."""
+        """Return the declaration of the half-bridge's circuit."""
         return declare_half_bridge(parameters)
 
     def rails(self, part: Part[HalfBridgeKeys]) -> tuple[float, float]:
-        """Return zero and the supply voltage [V]."""
+        """Return the lowest and the highest output voltage [V]: zero and the supply voltage."""
         return 0.0, part.keys.rail
 
 
 class LinearDriverKeys(InputNoise):
-    """Current source for the coils: operational amplifier between two rails, sense resistor."""
+    """Keys of a linear current source for coils.
+
+    It consists of an operational amplifier between two rails and a sense resistor.
+    """
 
     rail: Voltage = Field(48.0, gt=0, description="Magnitude U of both supply voltages, +U and -U")
     bandwidth: Frequency = Field(50e3, gt=0, description="Bandwidth of the current loop")
@@ -178,7 +184,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     inner_node = "power"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the constitutive equations of the circuit."""
+        """Return the declaration of the current source's circuit."""
         return declare_linear_drive(parameters, self.constants["sense"])
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
@@ -188,10 +194,11 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     def adapt_to_load(
         self, keys: LinearDriverKeys, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return parameters and values of the control loop for these coils.
+        """Return parameters and values of the control loop for the coils ``load``.
 
-        With the bandwidth ``f``, ``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``
-        and ``ratio = 2 pi f L / 100 Ohm``. The amplifier has the bandwidth ``5 f``.
+        The output voltage is ``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``
+        with ``ratio = 2 pi f L / 100 Ohm``. f is the bandwidth of the loop, and L and R are the
+        inductance and the resistance of the coils. The amplifier has the bandwidth ``5 f``.
         """
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE_RESISTANCE
         resistance = load.resistance + SENSE_RESISTANCE
@@ -211,7 +218,10 @@ RIPPLE_HARMONICS = 3
 
 
 class PwmKeys(Section):
-    """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
+    """Keys of a switched current source for coils.
+
+    It consists of an H-bridge, a pulse-width modulator and a PI controller.
+    """
 
     rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the bridge")
     frequency: Frequency = Field(100e3, gt=0, description="Carrier frequency of the bridge")
@@ -228,22 +238,23 @@ class PwmDrive(CoilDriver[PwmKeys]):
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
     noise = "no noise: it switches, which an operating point knows nothing of"
-    # carrier [V]: peak of the triangle; headroom: controller rails relative to the peak; shunt
-    # [Ohm]: resistor in the return line; sense [Ohm]: voltage for each ampere in the shunt
+    # ``carrier`` is the peak of the triangle [V], and ``headroom`` is the rail voltage of the
+    # controller divided by this peak. ``shunt`` is the resistor in the return line [Ohm], and
+    # ``sense`` is the voltage for each ampere in the shunt [Ohm].
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         return declare_pwm_drive(parameters, **self.constants)
 
     def law(self, part: Part[PwmKeys], build: Build) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the circuit and of the sine that becomes the carrier."""
+        """Return the model equations of the circuit, and of the sine that generates the carrier."""
         result = super().law(part, build)
         if isinstance(result, laws.MissingEquations):
             return result
         name = f"{part.name} carrier"
         carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
-        # The resistor to the pin ``drive`` begins at one leg of the bridge, which is not a node of
-        # the law.
+        # The resistor to the pin ``drive`` begins at the output of one bridge leg, which is not a
+        # node of the equations.
         results = {
             **result.results,
             f"{part.name}.i": laws.scale_wave(f"{part.name}.drive.through", -1.0),
@@ -258,11 +269,12 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def adapt_to_load(
         self, keys: PwmKeys, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return parameters and values of the control loop for these coils.
+        """Return parameters and values of the control loop for the coils ``load``.
 
-        The controller output ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))`` is
-        compared with a triangle of the amplitude ``carrier``; ``ratio = 2 pi f L carrier / (100 Ohm
-        rail)``.
+        The output of the controller is ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L /
+        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. It is compared with a triangle of
+        the amplitude ``carrier``. f is the bandwidth of the loop, and L and R are the inductance
+        and the resistance of the coils.
         """
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (
@@ -283,13 +295,13 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[Numerics]:
-        """Return the longest step and the highest frequency of the carrier."""
+        """Return the longest time step and the highest frequency that the carrier requires."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (Numerics(what, 0.1 / f, 1 / edge),)
 
     def highest_frequency(self, part: Part[PwmKeys], scene: DeclaredScene) -> HighestFrequency:
-        """Return the highest relevant frequency [Hz] of the ripple of the carrier."""
+        """Return a function for the highest relevant frequency [Hz] of the current ripple."""
         return partial(_ripple_frequency, float(part.keys.frequency))
 
 

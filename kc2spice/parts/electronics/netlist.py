@@ -1,4 +1,7 @@
-"""Subcircuit from a user's netlist, which is checked before a simulator reads it."""
+"""The part ``netlist``: a subcircuit from the user's netlist.
+
+The netlist is checked before a simulator reads it.
+"""
 
 from __future__ import annotations
 
@@ -41,15 +44,15 @@ from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-# Name of the current of an element in ngspice, keyed by its letter; "" for elements with a branch
-# current.
+# Device parameter that is the current of an element in ngspice, by the letter of the element. It is
+# empty for elements with a branch current.
 _CURRENT_PARAMETERS = {
     **dict.fromkeys("rclb", "i"),
     **dict.fromkeys("dmj", "id"),
     **dict.fromkeys("veh", ""),
     "q": "ic",
 }
-# Kinds of pins, which define the meaning of 1 V and 1 A; a signal pin carries no current.
+# Units of potential and flow for each kind of pin. A signal pin carries no current.
 PIN_KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
 OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
 
@@ -60,7 +63,7 @@ RATING_ADVICE = (
 
 
 class PinRating(Section):
-    """Limits of a pin: lowest and highest voltage, and slew rate.
+    """Limits of a pin of a user's subcircuit: lowest and highest voltage, and slew rate.
 
     The voltages are relative to ``ref`` if the circuit has this pin.
     """
@@ -73,7 +76,7 @@ class PinRating(Section):
 
 
 class NetlistKeys(Section):
-    """Keys of a user's subcircuit: ``.subckt SUBCKT`` in ``file``, in the folder of the scene."""
+    """Keys of a user's subcircuit ``.subckt SUBCKT`` in a netlist file beside the scene."""
 
     file: FileName = Field(examples=['"FILE"'], description="Netlist file in the scene's folder")
     subckt: str = Field(
@@ -100,7 +103,7 @@ class NetlistKeys(Section):
     )
 
 
-# Units of the potential at a pin, and the kind of the pin.
+# Kind of pin that an error suggests, by the unit that the user wrote.
 _UNITS_OF_PINS = {
     "K": "K/W", "degC": "K/W", "C": "K/W", "V": "V/A", "A": "V/A", "um": "um/N", "m": "um/N",
     "mm": "um/N", "N": "um/N", "m/s": "m/s/N", "Pa": "Pa/cm3/s", "rad": "rad/Nm",
@@ -129,7 +132,8 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Join the pin ``command`` of a driver table to the output of the controller."""
+        """Return the default connection of a driver, from ``command`` to the controller's
+        output."""
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _read_pins(part, scene):
@@ -183,7 +187,7 @@ class Netlist(PartType[NetlistKeys]):
                 )
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
-        """Return whether the netlist contains a source of small signals."""
+        """Return whether the netlist contains a source with a small-signal (``ac``) amplitude."""
         return _read_subcircuits(
             part.keys.file, scene.home, _modification_time(part, scene)
         ).excites
@@ -212,7 +216,8 @@ class Netlist(PartType[NetlistKeys]):
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        The results are voltages of rated pins, and pins, currents and inner nodes that probes read.
+        The results are the voltages of rated pins, and the pins, currents and inner nodes that
+        probes measure.
         """
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
@@ -260,13 +265,15 @@ def driver(
     known: Mapping[str, str],
     data: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the table of the part that the key ``driver`` names, whose type is one of ``known``.
+    """Return the part table of the driver that the key ``driver`` describes.
 
-    A netlist part without a file uses the first file of the scene's ``include``.
+    ``known`` maps the names of drivers to their part types. A netlist part without a file uses the
+    first file of the scene's key ``include``.
 
     Raises
     ------
-    UsageError : there is not exactly one driver, no driver of this type, or no file.
+    UsageError : the key does not contain exactly one driver, its type does not exist, or it has no
+        file.
     """
     expected = "one table of " + ", ".join(known)
     if len(drivers) != 1:
@@ -305,7 +312,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
     Raises
     ------
-    UsageError : the file cannot be read or does not contain the subcircuit.
+    UsageError : the file cannot be read, or does not contain the subcircuit.
     """
     file = part.keys.file
     try:
@@ -343,7 +350,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
 
 def _probe_names(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Yield the names of probes of this part, with their pin, node or ``i(ELEMENT)``.
+    """Yield the name of each probe of this part, and the pin, node or ``i(ELEMENT)`` it reads.
 
     Probes of the current or power at a pin are left out.
     """
@@ -354,9 +361,10 @@ def _probe_names(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tupl
 
 
 def _inner_vector(node: str, part: str = "") -> str:
-    """Return the vector of a node, ``i(ELEMENT)`` or ``i(x1.ELEMENT)`` of a subcircuit.
+    """Return the ngspice vector of a node or an element current inside a subcircuit.
 
-    With ``part`` it is the vector of the part's instance.
+    ``node`` is the name of the node, ``i(ELEMENT)`` or ``i(x1.ELEMENT)``. With ``part``, the vector
+    belongs to the instance of this part in the deck.
     """
     low, instance = node.lower(), f"x{part.lower()}." if part else ""
     match = re.fullmatch(r"i\((?:(.+)\.)?(\w+)\)", low)
@@ -369,7 +377,7 @@ def _inner_vector(node: str, part: str = "") -> str:
 
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
-    """Read the subcircuit of the part as elements with nodes."""
+    """Return the scope of the part's subcircuit, which contains its elements and nodes."""
     flat = read_untrusted_netlist(part.keys.file, scene.home)
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
     result = build_scope(tree).find(part.keys.subckt)
@@ -379,14 +387,14 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
 
 
 def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
-    """Return the modification time [ns] of the part's file."""
+    """Return the modification time [ns] of the part's netlist file; 0 without the file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 @dataclass(frozen=True)
 class _NetlistFile:
-    """Pins of each subcircuit of a file, and whether the file contains an ``ac`` source."""
+    """Pins of each subcircuit in a netlist file, and whether the file has an ``ac`` source."""
 
     pins: dict[str, tuple[str, ...]]
     excites: bool
@@ -394,7 +402,10 @@ class _NetlistFile:
 
 @lru_cache(maxsize=64)
 def _read_subcircuits(file: str, home: Path, stamp: int) -> _NetlistFile:
-    """Return the subcircuits of a file; ``stamp`` is the modification time of the file."""
+    """Return the pins of all subcircuits in a netlist file.
+
+    ``stamp`` is the modification time of the file, as a key of the cache.
+    """
     result, excites = {}, False
     for card in read_untrusted_netlist(file, home).cards():
         words = list(map(str.lower, card.words))

@@ -1,4 +1,4 @@
-"""Independent sources of every quantity in the table of domains."""
+"""The part ``source``: independent sources for the quantities of all physical domains."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ from kc2spice.scene.parttype import register
 
 
 class SourceKind(NamedTuple):
-    """Kind of a source: domain and side (across or through) of the prescribed quantity."""
+    """Kind of a source, defined by domain and side of the prescribed quantity.
+
+    The side is across or through.
+    """
 
     domain: Domain
     side: Side
@@ -59,52 +62,54 @@ class SourceKind(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """SI unit of the values."""
+        """SI unit of the source's values."""
         return self.quantity.unit
 
     @property
     def scale(self) -> float:
-        """Volts or amperes that represent one SI unit."""
+        """Number of volts or amperes that represent one SI unit in the netlist."""
         return self.quantity.per_unit
 
     @property
     def letter(self) -> str:
-        """Letter of the card."""
+        """First letter of the source's name in the netlist, V or I."""
         return "V" if self.side == "across" else "I"
 
     @property
     def value_unit(self) -> str:
-        """Unit of the values of the card; "" for the default unit of the card."""
+        """Unit of the values in the netlist card; empty for the default unit of the card."""
         return self.domain.value_unit(self.letter)
 
     @property
     def sets(self) -> str:
-        """Name of the prescribed result."""
+        """Symbol of the prescribed quantity in result names."""
         return self.quantity.symbol
 
 
 SOURCE_TYPES = {name: SourceKind(*place) for name, place in QUANTITIES.items()}
-# Kinds of sources whose steps an inductance or a mass filters. Other sources prescribe motions or
-# flows.
+# Kinds of sources with steps that an inductance or a mass smooths. The other kinds prescribe
+# motions or flows.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # largest number of rows of a waveform file
-# points per period of a sine: linear interpolation has an error of 4e-4 of the amplitude
+# Time points per period of a sine, for which linear interpolation has an error of 4e-4 of the
+# amplitude.
 POINTS_PER_PERIOD = 125
-# Factor on the reciprocal of the edge time that gives the highest frequency of an edge; 1e-4 of the
-# spectrum is above this frequency.
+# Highest frequency of an edge, multiplied by the edge time. A fraction of 1e-4 of the spectrum is
+# above this frequency.
 EDGE_FACTOR = 0.5
-# Number of resolved harmonics of a sine that is switched on. With 3 harmonics, a mode above the
-# band had an error of 1.3 %.
+# Ratio of the highest resolved frequency to the frequency of a sine that is switched on. With a
+# ratio of 3, a mode above the band had an error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
-# Largest deviation of an ideal source from its definition, relative to its range of values.
+# Largest deviation of a simulated source from its definition, relative to its range of values.
 MAX_DEVIATION = 1e-3
 
 
 class SourceKeys(Section):
-    """Keys of a source with one of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``.
+    """Keys of an independent source.
 
-    Numbers are in the SI unit of the key ``kind``.
+    One of the keys ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file`` defines the waveform. Numbers
+    without a unit are in the SI unit of the quantity that ``kind`` selects.
     """
 
     kind: Literal[tuple(SOURCE_TYPES)] = Field(  # type: ignore[valid-type]
@@ -164,12 +169,12 @@ class SourceKeys(Section):
 
     @property
     def shape(self) -> str:
-        """Key of the values of the source over time."""
+        """Name of the key that defines the waveform of the source; by default ``dc``."""
         return next(iter(self._stated_waveform_keys), "dc")
 
     @property
     def has_only_amplitude(self) -> bool:
-        """Whether the source has an amplitude for ``ac``, and no waveform."""
+        """Whether the source has the key ``ac``, and no key for a waveform."""
         return bool(self.amplitude) and not self._stated_waveform_keys
 
     @property
@@ -183,20 +188,20 @@ class SourceKeys(Section):
 
     @property
     def waveform(self) -> Waveform:
-        """Values over time in SI units."""
+        """Waveform of the source versus time, in SI units."""
         return self._waveform
 
     @property
     def amplitude(self) -> float:
-        """Amplitude in ac analyses in SI units."""
+        """Amplitude of the source in ac analyses, in SI units."""
         return self._amplitude
 
     def _read_waveform(self, home: Path) -> Waveform:
-        """Return the values over time in SI units; ``home`` is the folder of ``file``.
+        """Return the waveform versus time in SI units; ``home`` is the folder of ``file``.
 
         Raises
         ------
-        UsageError : a value has the wrong unit, times do not increase, or a file is unreadable.
+        UsageError : a value has the wrong unit, times do not increase, or the file cannot be read.
         """
         unit = self.unit
         if self.pulse is not None:
@@ -253,7 +258,7 @@ class Source(PartType[SourceKeys]):
         )
 
     def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Warn of a source that is zero in the default analysis, a transient."""
+        """Warn about a source that is zero in the default analysis, which is a transient."""
         yield from super().problems(part, scene)
         if part.keys.has_only_amplitude and "analysis" not in scene.frame.model_fields_set:
             warnings.warn(
@@ -264,34 +269,38 @@ class Source(PartType[SourceKeys]):
             )
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the edges and the period of the waveform."""
+        """Yield the numerical requirements of the waveform: edges, time step and period."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
-        """Return the prescribed voltage over time [V]."""
+        """Return the prescribed voltage [V] versus time; None for other kinds of sources."""
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-        """Return whether the source has an amplitude of small signals."""
+        """Return whether the source has a small-signal amplitude."""
         return part.keys.amplitude != 0
 
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
-        """Return the highest relevant frequency [Hz] of the waveform."""
+        """Return a function for the highest relevant frequency [Hz] of the waveform."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
     def equilibrium_conditions(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the prescribed difference of the pins, or the constant flow into them."""
+        """Return the conditions that the source sets for the equilibrium at t = 0.
+
+        A source of an across quantity prescribes the difference between its pins. A source of a
+        through quantity loads its pins with a constant flow.
+        """
         pair = (("out", "ret"),)
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
-            # A sine with a later start also has a jump of its derivative.
+            # The derivative of a sine that starts later also has a jump.
             kinked = part.keys.kind == "displacement" and moves
             return EquilibriumConditions(pair, pair, jump_key=part.keys.shape if kinked else "")
         constant = part.keys.waveform(np.zeros(1))[0]
@@ -301,7 +310,7 @@ class Source(PartType[SourceKeys]):
         """Return the cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.net(part, "out"), build.net(part, "ret")]
-        if kind.letter == "I":  # the current leaves the source at "out" and returns at "ret"
+        if kind.letter == "I":  # the current flows out of the source at "out" and back at "ret"
             ends.reverse()
         if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
@@ -313,13 +322,13 @@ class Source(PartType[SourceKeys]):
         return (card.with_unit(kind.value_unit),)
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the nodes of a sweep that returns to its first value."""
+        """Yield the names of the inner nodes for a dc sweep that returns to its first value."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
 
     def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, SweptSource]:
-        """Return the source that a dc sweep of the key ``dc`` varies."""
+        """Return the simulator's source that a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {"dc": SweptSource(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
@@ -343,7 +352,7 @@ class Source(PartType[SourceKeys]):
         return result
 
     def checks(self, part: Part[SourceKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """Compare the source with its definition at every time point of the run."""
+        """Yield the check that the simulated source equals its definition at all time points."""
         result = waves.data.get(f"{part.name}.{SOURCE_TYPES[part.keys.kind].sets}")
         if result is None or "time" not in waves:
             return
@@ -376,15 +385,15 @@ class Source(PartType[SourceKeys]):
 
 
 def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Return the highest frequency [Hz] of a wave after a filter.
+    """Return the highest relevant frequency [Hz] of a waveform after a low-pass filter.
 
-    The filter is a low pass with the time ``constant`` [s], which is multiplied by ``share``.
+    The time constant of the filter is ``constant`` [s] times ``share``.
     """
     return find_waveform_frequency(wave, stop, share * constant)
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-    """Return whether a dc sweep returns to the first value of the source."""
+    """Return whether a dc sweep of this source returns to its first value."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
@@ -393,11 +402,11 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 def _sweep_cards(
     part: Part[SourceKeys], build: Build, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
-    """Return the cards of a source whose sweep returns from ``to``.
+    """Yield the cards of a source with a dc sweep that returns from ``to`` to its first value.
 
-    The simulator sweeps an auxiliary voltage beyond ``to``. The source reflects the voltage at
-    ``to``, so that both directions form one sweep, in which each point starts from the solution of
-    the previous point.
+    The simulator sweeps an auxiliary voltage beyond ``to``. The source reflects this voltage at
+    ``to``. Both directions therefore form a single sweep, in which each point starts from the
+    solution of the previous point.
     """
     selected = build.scene.analysis
     first = kind.scale * quantity(selected.from_, kind.unit)
@@ -415,7 +424,7 @@ def _sweep_cards(
 
 
 def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
-    """Yield the largest time steps and the frequencies that a sine or edges require."""
+    """Yield the largest time step and the highest frequency of a waveform's sine or edges."""
     if not wave.is_piecewise_linear:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
@@ -437,7 +446,7 @@ def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:
 
 
 def _make_waveform(points: np.ndarray, what: str) -> Waveform:
-    """Make a piecewise linear waveform of points whose times must increase."""
+    """Return the piecewise linear waveform through ``points``, whose times must increase."""
     key = "pwl" if what == "pwl" else "file"
     if len(points) < 2:
         expected = "at least two rows of time and value"
@@ -478,7 +487,7 @@ def _read_table(home: Path, name: str) -> np.ndarray:
             expected="rows of two numbers: time [s], value",
             hint="write two numbers, separated by a comma, in each line",
         ) from None
-    if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a head
+    if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a header line
         rows = rows[1:]
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
         hint = "separate the numbers by a comma, and write decimal points"

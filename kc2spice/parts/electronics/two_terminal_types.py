@@ -1,8 +1,8 @@
-"""Linear elements between two pins, and their part types, which follow from one table.
+"""Part types of linear elements between two pins, such as resistors, springs and dampers.
 
-A row contains the energy that the element stores, or the power that it loses
-(:mod:`kc2spice.physics.declaration`). Keys, card, results, documentation and the law for the
-independent integrator are generated from the row.
+They are generated from a table. A row of the table contains the energy that an element stores, or
+the power that it loses (:mod:`kc2spice.physics.declaration`). Keys, netlist card, results,
+documentation, and the equations for the independent integrator are generated from the row.
 """
 
 from __future__ import annotations
@@ -51,7 +51,11 @@ from kc2spice.scene.parttype import register
 
 
 class ElementRow(NamedTuple):
-    """Data of an element: ``key`` with unit, ``stated`` energies, and ``drive`` in its example."""
+    """Table row that defines a linear element.
+
+    ``key`` is its only key, with ``unit`` and the example ``value``. ``stated`` contains its energy
+    or power terms, and ``drive`` contains the keys of the source in its example scene.
+    """
 
     name: str
     title: str
@@ -101,12 +105,12 @@ TABLE = (
 )  # fmt: skip
 
 
-# Types of keys with a plausible range, by their unit.
+# Types with a plausible range of values, by the unit of the key.
 _TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": Inductance}
 
 
 def declare_element(row: ElementRow) -> Declaration:
-    """Declare the element of a row, with its key, an example and its equations."""
+    """Return the declaration of the element of a table row, with its key and an example."""
     noun = row.name.replace("_", " ")
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
     number = _TYPES_OF_UNITS.get(row.unit, Annotated[float, si(row.unit)])
@@ -130,13 +134,15 @@ part = "source"
 
 
 class LinearElement(DeclaredPart[KeysT]):
-    """Linear element that is one card: ``through = admittance d^order/dt^order`` of ``across``.
+    """Linear element that is a single netlist card.
 
-    An element whose heat pin is joined is a subcircuit instead.
+    Its equation is ``through = admittance d^order/dt^order`` of ``across``. An element with a
+    connected pin ``heat`` is a subcircuit instead.
 
-    Currents are not read from the device (``@r[i]``), which ngspice computes only at the operating
-    point of an ac analysis. The current of a resistance is computed from its law, an inductance has
-    a branch current, and a capacitance has an ideal meter in series at pin ``a``.
+    The current of an element is not the device parameter ``@r[i]``, because in an ac analysis
+    ngspice computes this parameter only at the operating point. The current of a resistance is
+    computed from its voltage. The current of an inductance is its branch current. A capacitance has
+    an ideal ammeter in series at the pin ``a``.
     """
 
     @cached_property
@@ -146,7 +152,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def admittance_law(self) -> tuple[int, Tree]:
-        """Order of the derivative and admittance of the element, from its declaration."""
+        """Order of the derivative, and admittance as an expression, from the declaration."""
         d, b = self.declaration, self.branch
         flow = d.direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -159,21 +165,21 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _letter(self) -> str:
-        """Return the letter of the card, for a displacement as voltage."""
+        """First letter of the element's name in the netlist: L, R or C."""
         return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
     def _find_unit_factor(self) -> Number:
-        """Return the factor that converts an admittance in SI to amperes and volts of the pins."""
+        """Factor that converts an admittance in SI units to amperes per volt at the pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
-        """Return the value of an expression of the keys."""
+        """Return the value of an expression of the keys, for the keys of the part."""
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element has a heat pin, and is therefore a subcircuit."""
+        """Return whether the element has the pin ``heat``, and is therefore a subcircuit."""
         return is_heated(part, scene)
 
     def subcircuits(
@@ -183,7 +189,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the ammeter, the leak and the noise sources."""
+        """Yield the names of the inner nodes, the ammeter, the leak and the noise sources."""
         if is_heated(part, scene):
             return
         n = part.name
@@ -215,11 +221,11 @@ class LinearElement(DeclaredPart[KeysT]):
         )
 
     def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
-        """Return a conductance that conserves the charge of a floating net.
+        """Return the card of a leak conductance that conserves the charge of a floating net.
 
         The conductance is proportional to the capacitance, as for an electrode of a body. If the
-        charges ``C v`` of a net sum to zero, the currents ``rate C v`` of the conductances then
-        also sum to zero.
+        sum of the charges ``C v`` on a net is zero, the sum of the leakage currents ``rate C v`` is
+        therefore also zero.
         """
         value = LEAK_RATE * self._evaluate(
             part, multiply_trees(self._find_unit_factor, self.admittance_law[1])
@@ -233,13 +239,14 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_si_units(self) -> bool:
-        """Whether the pins have SI units, so that the resistor's card has the noise of the loss."""
+        """Whether the pins have SI units; a resistor card then has the noise of the loss."""
         return self._find_unit_factor == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
-        """Return the cards of the force noise ``4 k T c`` [N^2/Hz].
+        """Return the cards of the thermal noise of a loss, such as the force noise of a damper.
 
-        Its value is the voltage noise of a resistor of c ohms.
+        The spectral density of the force is ``4 k T c`` [N^2/Hz] for the damping c. Its value
+        equals the voltage noise of a resistor of c ohms.
         """
         if not self._has_loss:
             return ()
@@ -285,7 +292,10 @@ DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
 def element(name: str, kind: str, value: float) -> DeclaredLaw:
-    """Make the law of an element of a ``kind``, such as ``spring``, with a ``value`` in SI."""
+    """Return the equations of an element of type ``kind`` with ``value`` in SI units.
+
+    ``kind`` is the name of a table row, such as ``spring``.
+    """
     return DeclaredLaw(name, DECLARED[kind], (value,))
 
 

@@ -9,9 +9,9 @@ from kc2spice.scene.parttype import register
 
 
 class CombDriveKeys(_stop.StopKeys):
-    """Keys of a comb drive with the capacitance ``C = 2 fingers eps0 thickness (overlap + x) / gap``.
+    """Keys of an electrostatic comb drive.
 
-    The force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
+    Its capacitance is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
     """
 
     fingers: Ratio = Field(

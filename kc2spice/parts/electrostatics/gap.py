@@ -236,10 +236,10 @@ class Gap(PatchedPart[GapKeys]):
     def checks(
         self, part: Part[GapKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """Yield the checks of a run; after a dc sweep, also the check for unstable points.
+        """Yield the checks of the gap after a run.
 
-        No point may be on the unstable branch between pull-in and release. At a stable point, the
-        capacitance never decreases with ``v^2``.
+        After a dc sweep, they include a check that no point is on the unstable branch between
+        pull-in and release. At a stable point, the capacitance never decreases with ``v^2``.
         """
         yield from super().checks(part, build, waves)
         yield from _check_film(part, build, waves)

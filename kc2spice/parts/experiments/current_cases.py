@@ -39,9 +39,9 @@ LOOKUP_HEIGHTS = 2001
 
 
 class CurrentCasesKeys(Section):
-    """Keys of the experiment: currents of each coil.
+    """Keys of the experiment: the currents of each coil.
 
-    The height of the sphere is swept over the table.
+    A dc sweep moves the sphere through all heights of the force table.
     """
 
     currents: tuple[Current, ...] = Field(
@@ -53,7 +53,7 @@ class CurrentCasesKeys(Section):
 
 
 class CurrentCases(PartType[CurrentCasesKeys]):
-    """Part type ``current_cases``: force of two coils over height, for pairs of currents."""
+    """Part type ``current_cases``: force of two coils versus height, for pairs of currents."""
 
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
@@ -75,7 +75,8 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere, which this part moves, and the coils, which it copies."""
+        """Return the sphere, which this part moves, and the coils, which it copies for each
+        case."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
@@ -101,14 +102,14 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the nodes and cards of each pair of currents."""
+        """Yield the names of the inner nodes and elements for each pair of currents."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k, word in product(range(len(current_pairs(part))), words):
             yield (f"{word}{k}",)
 
     def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, SweptSource]:
-        """Return the source of the height that the dc sweep varies."""
+        """Return the source of the sphere's height, which the dc sweep varies."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
@@ -135,16 +136,16 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
-        """Return the laws of the coils, with a source that prescribes the height.
+        """Return the model equations of all copies of the coils.
 
-        The forces of the coils act on this source.
+        A source prescribes the height of the sphere, and the forces of the coils act on it.
         """
         n, pulled, fed = part.name, _find_sphere(part, build.scene), _find_coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
         for k, force in enumerate(_force_names(part, build)):
-            case = f"{fed.name} {k}"  # unique, because names of parts contain no blanks
+            case = f"{fed.name} {k}"  # unique, because part names contain no spaces
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
@@ -156,9 +157,10 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Yield the check of the largest jump of the slope between lookup segments, and the gates.
+        """Yield the check of the force table's slope, and the error limits of the forces.
 
-        The spacing of the heights is smaller than the segments, so that a jump has its full size.
+        The check limits the largest jump of the slope between two segments of the table. The
+        heights of the sweep are closer than the segments, so each jump has its full size.
         """
         forces = _recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])
@@ -178,7 +180,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
 
 def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
-    """Return all pairs (lower, upper) of currents [A]."""
+    """Return all pairs of currents [A] in the lower and the upper coil."""
     return [*product(part.keys.currents, part.keys.currents)]
 
 
@@ -189,17 +191,17 @@ def _force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
 
 
 def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveforms) -> np.ndarray:
-    """Return the forces [N] for all pairs of currents (pairs, heights)."""
+    """Return the recorded forces [N], an array of shape (current pairs, heights)."""
     return np.array([*map(waves.__getitem__, _force_names(part, build))])
 
 
 def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
-    """Return the coils of the experiment."""
+    """Return the coils whose force the experiment computes."""
     return scene.partner(part, "ring_magnet_coils").with_schema(Coils)
 
 
 def _find_sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
-    """Return the name of the sphere of the experiment."""
+    """Return the name of the sphere on which the coils of the experiment act."""
     return find_sphere(_find_coils(part, scene), scene).name
 
 

@@ -1,6 +1,6 @@
-"""Frequency response of a body from every port to every port.
+"""The part ``port_loads``: frequency responses of a body from every port to every port.
 
-The deck contains one copy of the body for each load (Fig. 7).
+The deck contains a copy of the body for each loaded port (Fig. 7).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Governed, Vector
 from kc2spice.scene.parttype import register
 
-# F; in series with a source of 1 C / CHARGE_CAPACITANCE, it carries one coulomb at any anode
-# voltage
+# Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE. It carries one
+# coulomb, whatever the voltage of the anode is.
 CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
-    """Keys of the experiment: a linear range of frequencies for the unit loads on each port."""
+    """Keys of the experiment: the body, and the frequencies of the unit loads on its ports."""
 
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
     stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
@@ -75,7 +75,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
     def drives(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
-        """Return True: the loads are the small signals of the analysis."""
+        """Return True, because the unit loads are the small signals of the analysis."""
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -130,7 +130,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the copies of the body and of their loads."""
+        """Yield the names of the copies of the body, and of the elements that load them."""
         rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
@@ -142,7 +142,8 @@ class PortLoads(PartType[PortLoadsKeys]):
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the responses, keyed ``INPUT>OUTPUT``.
 
-        Responses of rings are in m. Responses of the anode are in C, or in V with an open anode.
+        The response of a contact ring is its displacement [m]. The response of the anode is its
+        charge [C], or its voltage [V] if it is open.
         """
         body = find_loaded_body(part, build.scene)
         rings = _list_loaded_rings(body, build.scene)
@@ -162,7 +163,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def metrics(
         self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return ``amplitude[input][output]`` for a unit input, over ``frequency_hz``."""
+        """Return the metric ``amplitude[input][output]`` for a unit input at each frequency."""
         amplitude: dict[str, dict[str, Metric]] = {}
         vectors = build.records[part.name].vectors
         for name, response in waves.data.items():
@@ -173,7 +174,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
     def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
-        """Yield the gates of the harmonic loads, which contain the tolerance of the reduction."""
+        """Yield the error limits of the responses, which include the tolerance of the reduction."""
         gates, target = (
             build.scene.gates,
             find_loaded_body(part, build.scene).keys.rom or build.scene.rom,
@@ -198,9 +199,9 @@ class PortLoads(PartType[PortLoadsKeys]):
     def law(
         self, part: Part[PortLoadsKeys], build: Build
     ) -> laws.Equations | laws.MissingEquations | None:
-        """Return one copy of the body's law for each load.
+        """Return the model equations of the body, with a copy for each loaded port.
 
-        A large voltage behind a very small capacitance represents a unit charge.
+        A large voltage in series with a very small capacitance represents a unit charge.
         """
         body = find_loaded_body(part, build.scene)
         equations = body.type.law(body, build)
@@ -214,7 +215,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         results: dict[str, laws.WaveCombination] = {}
         still = constant_waveform(0.0)
         for load in (*rings, "anode"):
-            name = f"{body.name} {load}"  # names of parts contain no blanks
+            name = f"{body.name} {load}"  # unique, because part names contain no spaces
             result.append(replace(law, name=name))
             volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":
@@ -246,8 +247,8 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
 
     Raises
     ------
-    UsageError : no body is named and the scene does not contain exactly one, or the body has no
-        rings.
+    UsageError : the key ``of`` is missing and the scene does not have exactly one body, or the body
+        has no contact rings.
     """
     if part.keys.of is not None:
         body = scene.part(part.keys.of, f"{part.name}.of")
@@ -271,7 +272,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
 
 
 def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
-    """Return the names of the loaded rings."""
+    """Return the names of the contact rings of ``body``, on which the unit loads act."""
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 

@@ -1,4 +1,7 @@
-"""Quasi-static push of a sphere into a body: contact force over depth (Fig. 8)."""
+"""The part ``push``: quasi-static push of a sphere into a body (Fig. 8).
+
+The result is the contact force versus the depth.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ from kc2spice.scene.parttype import register
 
 
 class PushKeys(Section):
-    """Keys of an experiment that pushes the lowest point of a sphere down in equal steps."""
+    """Keys of an experiment that pushes a sphere down in equal steps."""
 
     depth: Length = Field(50e-6, gt=0, description="Largest indentation depth")
     steps: Count = Field(
@@ -76,7 +79,7 @@ class Push(TouchablePart[PushKeys]):
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         ball = find_sphere(part, scene)
-        _find_contact(part, scene)  # raises the error of a missing sphere
+        _find_contact(part, scene)  # raises an error if the contact has no sphere
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
             problem = "the depth exceeds the radius of the sphere"
@@ -88,7 +91,7 @@ class Push(TouchablePart[PushKeys]):
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
     def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, SweptSource]:
-        """Return the source of the depth that the dc sweep varies."""
+        """Return the source of the depth, which the dc sweep varies."""
         return {
             "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
         }
@@ -96,7 +99,7 @@ class Push(TouchablePart[PushKeys]):
     def penetrations(
         self, part: Part[PushKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the prescribed depth of the contact."""
+        """Yield the prescribed depth, which is the largest indentation of the contact."""
         yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
@@ -105,7 +108,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield the tolerances that resolve the closing of the contact rings."""
+        """Yield the solver tolerances that resolve the closing of the contact rings."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"
@@ -117,7 +120,7 @@ class Push(TouchablePart[PushKeys]):
         yield Numerics("imprint", options=options)
 
     def metrics(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Return the force of one symmetry sector at each depth, and the largest force."""
+        """Return the contact force on a symmetry sector at each depth, and the largest force."""
         pair = _find_contact(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
         return {
@@ -129,9 +132,9 @@ class Push(TouchablePart[PushKeys]):
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
-        # At the first depths, one basis function carries the contact, which the law does not
-        # resolve. All errors are therefore relative to the largest force. Against the full model,
-        # the limit is the error of the basis.
+        # At the first depths, only one basis function carries the contact force, which is too
+        # coarse for a pressure contact. All errors are therefore relative to the largest force. The
+        # error limit against the full model is the error of the basis.
         law = pair.basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),

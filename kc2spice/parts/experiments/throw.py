@@ -1,4 +1,7 @@
-"""Motion of a sphere at t = 0, and metrics of an impact (section 2.2.2 and Fig. 9 of the paper)."""
+"""The part ``throw``: a sphere that hits a body (section 2.2.2 and Fig. 9 of the paper).
+
+The part sets the motion of the sphere at t = 0, and computes the metrics of the impact.
+"""
 
 from __future__ import annotations
 
@@ -67,18 +70,18 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
             )
 
     def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
-        """Return the sphere with the initial velocity and height that this part sets."""
+        """Return the sphere, and the initial velocity and gap that this part sets."""
         return {find_sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield a tighter tolerance of charges, in proportion to the speed of the impact."""
+        """Yield a tighter ``chgtol`` for slow impacts, proportional to the impact speed."""
         speed = max(1e-3, _impact_speed(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_touching.LargestIndentation]:
-        """Yield the depth of the contact at the impact velocity."""
+        """Yield the largest indentation of the contact at the impact speed."""
         ball, speed = find_sphere(part, scene), _impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _touching.impact_penetration(ball, mass, scene, speed, why)
@@ -86,7 +89,10 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     def metrics(
         self, part: Part[ThrowKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return positions relative to the first contact, and the force of a symmetry sector."""
+        """Return the metrics of the impact.
+
+        Positions are relative to the first contact, and the force is that on a symmetry sector.
+        """
         pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
@@ -130,12 +136,15 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
 
 def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
-    """Return the speed [m/s] of the impact."""
+    """Return the speed [m/s] of the sphere at the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 
 
 def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return time and value of a minimum, from a parabola through the three lowest samples."""
+    """Return time and value of the minimum of ``y``.
+
+    They belong to the parabola through the lowest sample and its two neighbours.
+    """
     k = int(np.argmin(y))
     if k in (0, t.size - 1):
         return float(t[k]), float(y[k])
