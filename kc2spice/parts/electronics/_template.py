@@ -1,7 +1,7 @@
 """Base classes of parts with a netlist template in ``templates/``, and of all drivers.
 
-A driver is the electronic circuit between a command voltage and electrodes or coils. The module also contains the
-operational amplifier of these templates.
+A driver is the electronic circuit between a command voltage and electrodes or coils. The module
+also contains the operational amplifier of these templates.
 """
 
 from __future__ import annotations

@@ -132,8 +132,7 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of a driver, from ``command`` to the controller's
-        output."""
+        """Return the default connection of a driver, ``command`` to the controller's output."""
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _read_pins(part, scene):

@@ -11,7 +11,8 @@ from kc2spice.scene.parttype import register
 class CombDriveKeys(_stop.StopKeys):
     """Keys of an electrostatic comb drive.
 
-    Its capacitance is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
+    Its capacitance is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The force
+    ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
     """
 
     fingers: Ratio = Field(

@@ -1,4 +1,7 @@
-"""Force of a pair of coils on a sphere over its height, for every pair of currents (Fig. 6)."""
+"""The part ``current_cases``: force of two coils on a sphere versus its height (Fig. 6).
+
+The force is computed for every pair of currents in a list.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Governed, SweptSource, Vector
 from kc2spice.scene.parttype import register
 
-# number of heights at which the lookup is read: five for each segment of the lookup
+# number of heights at which the force table is evaluated: five for each segment of the table
 LOOKUP_HEIGHTS = 2001
 
 
@@ -75,8 +78,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere, which this part moves, and the coils, which it copies for each
-        case."""
+        """Return the sphere, which this part moves, and the coils, which it copies per case."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:

@@ -140,7 +140,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
-        """Return the ngspice vectors of the responses, keyed ``INPUT>OUTPUT``.
+        """Return the ngspice vectors of the responses, with keys ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
         charge [C], or its voltage [V] if it is open.

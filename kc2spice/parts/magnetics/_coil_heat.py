@@ -24,13 +24,16 @@ _UNEXPLAINED = 1e-3
 
 
 def wire_values(keys: ConductorKeys) -> tuple[float, float]:
-    """Return temperature coefficient [1/K] and reference temperature [K] of the wire."""
+    """Return the temperature coefficient [1/K] and the reference temperature [K] of the wire."""
     coefficient, reference = conductor_values(keys)
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
 
 
 def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Return the resistance at a ``temperature`` [K] over ambient, divided by the stated one."""
+    """Return the ratio of the resistance of the wire to its stated resistance.
+
+    ``temperature`` [K] is the difference from the ambient temperature.
+    """
     coefficient, reference = wire_values(keys)
     values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
     return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))
@@ -43,7 +46,7 @@ def balance_heat(
     currents: Mapping[str, np.ndarray],
     waves: Waveforms,
 ) -> Iterator[Balance]:
-    """Yield the check that the heat of the wire equals the heat flow through the pin.
+    """Yield the check that the heat of the wire equals the heat out of the pin ``heat``.
 
     Parameters
     ----------
@@ -54,7 +57,7 @@ def balance_heat(
     resistance : mapping of str to float
         Resistance of each coil at the reference temperature [Ohm].
     currents : mapping of str to numpy.ndarray
-        Current of each coil [A] over time.
+        Current of each coil [A] versus time.
     waves : Waveforms
         Results of a transient.
     """
@@ -77,7 +80,7 @@ def balance_heat(
 def check_temperature(
     name: str, prefix: str, rated_rise: float, waves: Waveforms
 ) -> Iterator[Check]:
-    """Yield the check of the largest temperature rise [K] of the wire."""
+    """Yield the check of the wire's largest temperature rise against ``rated_rise`` [K]."""
     if f"{prefix}.{TEMPERATURE}" in waves:
         largest = float(waves[f"{prefix}.{TEMPERATURE}"].max())
         advice = "the coils overheat: less current, or a better path for their heat"
@@ -87,7 +90,10 @@ def check_temperature(
 
 
 def heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
-    """Return rise, heat and largest resistance of the coils; empty without their temperature."""
+    """Return the metrics of heated coils: temperature rise, heat and largest resistance.
+
+    Without a recorded temperature, there are no metrics.
+    """
     if f"{prefix}.{TEMPERATURE}" not in waves or "time" not in waves:
         return {}
     rise = waves[f"{prefix}.{TEMPERATURE}"]

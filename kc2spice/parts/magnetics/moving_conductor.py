@@ -1,4 +1,8 @@
-"""Conducting body of revolution that moves along coils and magnets, with eddy currents as loops."""
+"""The part ``moving_conductor``: a conductor that moves along coils and magnets.
+
+The model represents the eddy currents in the body of revolution by a few current loops. The base
+class of this part is also the base class of the part ``moving_magnet``.
+"""
 
 from __future__ import annotations
 
@@ -63,32 +67,31 @@ from kc2spice.scene.parttype import register
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
-# ratio of the tolerance of the full model to the tolerance of the reduced model
+# ratio of the full model's tolerance to the reduced model's tolerance
 TOLERANCE_RATIO = 0.1
-SWING = 0.05
-MAX_TURNS = 5
-# ratio of full to reduced model, for the number of rings and the highest frequency
+SWING = 0.05  # smallest change of height between two turning points, relative to its range
+MAX_TURNS = 5  # largest number of turning points among the metrics
+# Factor on the number of rings and on the highest frequency for the full model.
 REFINEMENT_RATIO = 2
-# description of the method for couplings without rings
+# description of the method that computes couplings without rings
 CIRCLE_METHOD = "closed form of coaxial circles"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
-# Ratio of the inductance of a coil above a conductor to its inductance without the conductor.
+# Assumed ratio of the inductance of a coil above a conductor to its inductance without it.
 SCREENED_RATIO = 0.5
 # Largest ratio of the frequency of a run's currents to the resolved frequency.
 MAX_FREQUENCY_RATIO = 2.0
-# Fraction of the energy below the highest frequency of a run; a short sine also has energy above
-# its frequency.
+# Fraction of a coil current's energy below the highest frequency of a run. It is less than 1,
+# because a short sine also has energy above its frequency.
 SEEN = 0.99
-MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss by the rings
-# Largest change of the path of a magnet in verify, where the tolerance of its field is ten times
-# smaller.
+MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
+# Largest relative change of a magnet's path in ``verify``, with a ten times smaller tolerance of its field.
 MOVED = 1e-3
-# assumed smallest ratio of the change by finer rings to the error that rings cause
+# smallest assumed ratio of the change due to finer rings to the error of the rings
 MIN_CHANGE = 0.1
 
 
 class CoilKeys(Section):
-    """Winding of rectangular section about the axis."""
+    """Keys of a coaxial coil with a rectangular cross-section of its winding."""
 
     radius: Length = Field(gt=0, description="Mean radius of the coil")
     width: Length = Field(gt=0, description="Radial width of the coil cross-section")
@@ -99,13 +102,16 @@ class CoilKeys(Section):
 
 
 class MagnetKeys(Ring):
-    """Ring or cylinder that is magnetised along the axis, with the permeability of air."""
+    """Keys of a fixed ring or cylinder magnet.
+
+    It is magnetised along the axis, and has the permeability of air.
+    """
 
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
 class ConductionKeys(Section):
-    """Keys that determine the current loops of a body in its netlist."""
+    """Keys of a conducting body that are parameters of its netlist."""
 
     conductivity: Conductivity = Field(
         gt=0, description="Electrical conductivity of the body, such as 3.4e7 1/(Ohm m)"
@@ -113,9 +119,11 @@ class ConductionKeys(Section):
 
 
 class MovingBodyKeys(ConductorKeys):
-    """Body in the field of coils and magnets about one axis; y is the height of its centre of mass.
+    """Keys of a body that moves along the common axis of coils and magnets.
 
-    A part ``mass`` at the pin ``a`` represents the mass of the body."""
+    y is the height of its centre of mass. A part ``mass`` at the pin ``a`` represents the mass of
+    the body.
+    """
 
     radius: Length = Field(gt=0, description="Outer radius of the body")
     inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
@@ -140,7 +148,7 @@ class MovingBodyKeys(ConductorKeys):
 
 
 class MovingConductorKeys(ConductionKeys, MovingBodyKeys):
-    """Conducting disc, ring or sphere."""
+    """Keys of a moving conducting disc, ring or sphere."""
 
     shape: Literal["disc", "sphere"] = Field(
         "disc", description="Shape of the body; a disc with a hole is a ring"
@@ -169,12 +177,12 @@ def _current_name(coil: str) -> str:
 
 
 def _eddy_names(count: int) -> list[str]:
-    """Return the names of the currents of ``count`` loops in the body."""
+    """Return the names of the currents in ``count`` loops of the body."""
     return list(map("eddy{}".format, range(1, count + 1)))
 
 
 def _branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
-    """Return the branches of the coils and of the motion."""
+    """Return the branches of the coils, of the motion, and of the current loops."""
     coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
 
@@ -188,7 +196,7 @@ def _declare(
     reach: str = "",
     **physics: Any,
 ) -> Declaration:
-    """Declare the body with its loops."""
+    """Return the declaration of a moving body with its branches, limits and equations."""
     limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
         kind.name,
@@ -207,10 +215,10 @@ def _declare(
 
 
 def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
-    """Declare the coenergy ``i' L i / 2`` and the losses.
+    """Return the declaration of a moving body from its built ``model``.
 
-    The couplings are power series of the height. The couplings of a magnet, which has no loops,
-    are per tesla of remanence.
+    The coenergy is ``i' L i / 2`` with the currents i of coils and loops. The couplings in L are
+    power series of the height. A magnet has no loops; its couplings are per tesla of remanence.
     """
     keys, coils = part.keys, list(map(_current_name, part.keys.coils))
     eddies = _eddy_names(model.rates.size)
@@ -244,14 +252,14 @@ MovingT = TypeVar("MovingT", bound=MovingBodyKeys, default=MovingBodyKeys)
 
 
 class MovingBody(DeclaredPart[MovingT]):
-    """Body that moves in the field of coils and magnets."""
+    """Base class of bodies that move in the field of coils and magnets."""
 
     results_of_model = True  # the model determines the number of loops
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
-        """Return the step of a dc sweep over the table of forces."""
+        """Return the numerical requirements of a dc sweep of the height."""
         return sweep_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -259,7 +267,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return _declare(self, _branches(part.keys, 0))
 
     def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
-        """Return the declaration after the model is built."""
+        """Return the declaration with the current loops of the built model."""
         return declare_moving_body(part, build.model(part, LoopModel))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -332,10 +340,10 @@ class MovingBody(DeclaredPart[MovingT]):
     def build(
         self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False
     ) -> LoopModel:
-        """Build the loops and couplings of the body.
+        """Return the current loops of the body and their couplings to the coils.
 
-        The ``full`` model has more loops and rings, which resolve twice the highest frequency, and
-        more accurate couplings.
+        The ``full`` model has more loops and rings, which resolve twice the highest frequency. It
+        also has more accurate couplings.
         """
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
@@ -346,7 +354,7 @@ class MovingBody(DeclaredPart[MovingT]):
             )
 
         def build() -> LoopModel:
-            """Return the model of the part."""
+            """Compute the current loops and their couplings."""
             fixed = []
             for magnet in keys.magnets.values():
                 fixed += surface_currents(magnet, magnet.remanence)
@@ -361,12 +369,12 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(LoopModel,), sources=sources)
-        except UsageError as error:  # The error of the rings depends on the range of heights.
+        except UsageError as error:  # the range of heights causes this error
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
     def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Return heights and times of the body's turning points, see :func:`turning_points`."""
+        """Return the heights and times of the first turning points of the body."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
         result = turning_points(waves["time"], waves[f"{part.name}.y"])
@@ -416,27 +424,27 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
-        """Return the description of the error estimate of the mesh."""
+        """Return the error estimate of the division into rings in words."""
         return _ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
     def field(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
     ) -> LoopModel:
-        """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
+        """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
 
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
-        """Yield the errors in the shape of the body."""
+        """Yield an error for each key that does not fit the shape; none by default."""
         return iter(())
 
     def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
-        """Return the frequency [Hz] up to which eddy currents are resolved."""
+        """Return the largest frequency [Hz] of resolved eddy currents; 0 without them."""
         return 0.0
 
     def add_ring_error(
         self, ladder: LoopModel, keys: MovingT, fixed: list[Winding], rings: int
     ) -> LoopModel:
-        """Return the loops with an error estimate for the division into rings."""
+        """Return the model with an error estimate for the division into rings, if it has rings."""
         return ladder
 
 
@@ -452,7 +460,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     source = "rings (integral equation, axisymmetric), reduced"
 
     def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
-        """Yield the errors in the shape of the body."""
+        """Yield an error for each key that does not fit the shape of the body."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong(
@@ -487,7 +495,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return the body's current loops, with couplings to the coils and ``fixed`` currents."""
+        """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
         body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)
@@ -495,10 +503,10 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     def add_ring_error(
         self, ladder: LoopModel, keys: MovingConductorKeys, fixed: list[Winding], rings: int
     ) -> LoopModel:
-        """Return the loops with the error estimate of their rings.
+        """Return the model with an error estimate for its division into rings.
 
-        The error is proportional to the square of the ring size, and so to the reciprocal of the
-        number of rings. The error estimate also contains the change by finer rings.
+        The error is proportional to the square of the ring size, and therefore to the reciprocal of
+        the number of rings. The estimate is derived from the change due to finer rings.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
@@ -526,7 +534,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
 
 def _ring_error(model: LoopModel) -> str:
-    """Return the error estimate of the division into rings as text; empty without rings."""
+    """Return the error estimate of the rings in words; an empty string without rings."""
     errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
@@ -534,8 +542,8 @@ def _ring_error(model: LoopModel) -> str:
 def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
 
-    Between two turning points, ``y`` changes by more than the fraction ``SWING`` of its range, so
-    that ripple is ignored.
+    Between two turning points, ``y`` changes by more than the fraction ``SWING`` of its range.
+    Smaller ripple is ignored.
     """
     result, best, sign = [], 0, 0
     least = SWING * np.ptp(y)
@@ -552,12 +560,12 @@ def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]
 
 
 def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
-    """Return the skin depth [m], ``1 / sqrt(pi f MU_0 conductivity)``."""
+    """Return the skin depth ``1 / sqrt(pi f MU_0 conductivity)`` [m] at ``frequency`` [Hz]."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
 def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> RingCells:
-    """Divide the body into rings that resolve the skin depth at a frequency [Hz]."""
+    """Return the cells of the body's rings, which resolve the skin depth at ``frequency`` [Hz]."""
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
     def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -568,7 +576,7 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
 
 
 def _shortest_lag(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
-    """Return the shortest time constant [s] of the coils with their series resistors."""
+    """Return the shortest time constant [s] of the coils, including their series resistors."""
     result = []
     for name, coil, winding in zip(
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
@@ -579,7 +587,7 @@ def _shortest_lag(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
 
 
 def _series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
-    """Return the sum [Ohm] of the resistors in series with a coil, at one of its ``pins``."""
+    """Return the sum [Ohm] of the resistors that are connected in series at a coil's ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
     for resistor in scene.list_parts("resistor"):
@@ -589,7 +597,11 @@ def _series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[
 
 
 def _highest_run_frequency(part: Part[MovingBodyKeys], build: Build, waves: Waveforms) -> float:
-    """Return the highest frequency [Hz] of a run: of the response, or of the coil currents."""
+    """Return the highest frequency [Hz] of a run.
+
+    It is the last frequency of a response, or the highest frequency of the coil currents in a
+    transient.
+    """
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])
     result = 0.0
@@ -601,12 +613,12 @@ def _highest_run_frequency(part: Part[MovingBodyKeys], build: Build, waves: Wave
 
 
 def windings(keys: MovingBodyKeys) -> list[Winding]:
-    """Return the coils as windings."""
+    """Return the windings of the coils, in the order of the keys."""
     return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
 
 
 def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
-    """Return the currents [A] on the surfaces of a magnet of the ``remanence`` [T]."""
+    """Return the surface currents [A] that are equivalent to a magnet of ``remanence`` [T]."""
     current = remanence * ring.height / MU_0
     result = [Winding(ring.outer, 0.0, ring.height, ring.y, current)]
     if ring.inner:
@@ -621,9 +633,9 @@ def _cross_section(ring: Ring) -> Winding:
 
 
 def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
-    """Yield the cross-sections of the body at its initial height.
+    """Yield the cross-section of the body at its initial height for the drawing.
 
-    The height is the key ``position`` of a part ``mass`` at the pin ``a``, within the range of
+    This height is the key ``position`` of a part ``mass`` at the pin ``a``, limited to the range of
     heights.
     """
     keys = part.keys
@@ -645,7 +657,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
 
 
 def _body_height(keys: MovingBodyKeys) -> float:
-    """Return the height [m] of the body."""
+    """Return the axial dimension [m] of the body."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 
 

@@ -1,4 +1,7 @@
-"""Magnet that moves along coils and fixed magnets: shakers, buzzers, harvesters, levitation."""
+"""The part ``moving_magnet``: a magnet that moves along coils and fixed magnets.
+
+It models shakers, buzzers, energy harvesters and magnetic levitation.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +30,17 @@ from kc2spice.scene.parttype import register
 
 
 class MagnetisationKeys(Section):
-    """Keys that determine the field of a magnet in its netlist."""
+    """Keys of a moving magnet that are parameters of its netlist."""
 
     remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
 class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
-    """Cylinder or ring that is magnetised along the axis.
+    """Keys of a moving cylinder or ring that is magnetised along the axis.
 
-    The magnetisation is uniform, ``remanence / (MU_0 (1 + N (mu_r - 1)))``, with the demagnetising
-    factor N of the shape. The magnet is modelled as surface currents, ``thickness`` times the
-    magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
+    The magnetisation is assumed uniform. It is ``remanence / (MU_0 (1 + N (mu_r - 1)))`` with the
+    demagnetising factor N of the shape. The magnet is modelled by surface currents of ``thickness``
+    times the magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
     """
 
     thickness: Length = Field(gt=0, description="Thickness of the magnet along the axis")
@@ -60,7 +63,8 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
 def demagnetising_factor(inner: float, outer: float, height: float) -> float:
     """Return the magnetometric demagnetising factor N of a ring or cylinder along its axis.
 
-    The mean field of the surface currents is ``(1 - N)`` times the field of a very long magnet.
+    The mean field of the magnet's surface currents is ``(1 - N)`` times the field of a very long
+    magnet.
     """
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:
@@ -115,7 +119,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return the couplings of the coils with the magnet."""
+        """Return the couplings of the magnet with the coils and the ``fixed`` currents."""
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)

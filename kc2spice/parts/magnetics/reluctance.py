@@ -1,4 +1,7 @@
-"""Magnet or coil that pulls iron across air gaps: relays, valves, holding magnets."""
+"""The part ``reluctance``: a magnet or coil that pulls iron across air gaps.
+
+It models relays, valves and holding magnets.
+"""
 
 from typing import Annotated
 
@@ -15,10 +18,10 @@ from kc2spice.scene.parttype import register
 class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
     """Keys of a magnetic circuit that attracts iron.
 
-    The flux ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` causes a force ``gaps
-    flux^2 / (2 MU_0 area)`` in the direction of x. For a permanent magnet of length l and area A,
-    ``magnet`` is ``remanence l / (MU_0 mu_r)`` and its contribution to ``core`` is ``l / (MU_0 mu_r
-    A)``.
+    The flux is ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` with the current i
+    and the displacement x. It causes a force ``gaps flux^2 / (2 MU_0 area)`` in the direction of x.
+    A permanent magnet of length l and area A has the magnetomotive force ``magnet = remanence l /
+    (MU_0 mu_r)``, and contributes ``l / (MU_0 mu_r A)`` to ``core``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")

@@ -1,8 +1,9 @@
-"""Catch actuator: ring magnet and two coils around a magnetic sphere's path (paper 2.2.1, 2.4).
+"""The part ``ring_magnet_coils``: a ring magnet and two coils that catch a magnetic sphere.
 
-The force is a polynomial of both currents, whose six coefficients are functions of the height. For
-an ideal current drive, the coils are resistors. Real coils have inductance and back-EMF from the
-same table. :mod:`kc2spice.physics.coils` declares the law.
+The sphere moves along the common axis (paper 2.2.1, 2.4). The force on it is a polynomial of both
+coil currents with six coefficients, which are tabulated functions of the height. With an ideal
+current drive, the coils are resistors. Otherwise, they have inductance and back-EMF from the same
+table. :mod:`kc2spice.physics.coils` contains the declarations.
 """
 
 from __future__ import annotations
@@ -67,30 +68,29 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
 from kc2spice.synthesis.header import SIGN_TEXT
 
-MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
+MAGNET_CONDUCTIVITY = 150e3  # conductivity [S/m] of the sphere, from table A1 of the paper
 
 COLD = "coils at the temperature of their data, without heating"
 HOT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-# Current in A for plots and checks of the force, if the scene states no limit of the current.
+# Current [A] in plots and checks of the force, if the scene states no current limit.
 DEFAULT_CURRENT = 0.1
-# ratio of the number of cells along each edge of the mesh in verify to the number for the table
+# factor on the number of mesh cells along each edge for the mesh of ``verify``
 REFINEMENT_RATIO = 2
-# Number of heights in each interval of the denser table, with which the table of the netlist is
-# compared.
+# Factor on the number of heights for the denser table, with which the netlist's table is compared.
 DENSITY_RATIO = 4
-LOOKUP_POINTS = 201  # points of each lookup; the error between points is 6e-6 of the largest force
-# Largest error of the spline between heights, relative to the largest force.
+LOOKUP_POINTS = 201  # points of a lookup table, for an error of 6e-6 of the largest force
+# Largest error of the force spline between the computed heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
-# suggested launch velocity, relative to the one with which a flight reaches the end of the table
+# suggested launch velocity, relative to the velocity with which a flight reaches the table's end
 KICK_MARGIN = 0.85
-COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), per volume: 385 J/(kg K) at 8960 kg/m3
+COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), 385 J/(kg K) times 8960 kg/m3
 COIL_NAMES = ("lower", "upper")
 TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
 
 class Coils(ConductorKeys, Catch):
-    """Keys of an electromagnetic catch actuator, whose coils may have a driver."""
+    """Keys of an electromagnetic catch actuator, with an optional driver for its coils."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None, description="Driver between controller and coils, { TYPE = { keys } }"
@@ -108,9 +108,9 @@ class Coils(ConductorKeys, Catch):
     )
 
 
-# In the control loop, one current i flows through both coils: i2 = i and i1 = -i. The force is then
-# a polynomial of i. These weights convert the coefficients of the table to the coefficients of this
-# polynomial.
+# In the control loop, a single current i flows through both coils: i2 = i and i1 = -i. The force is
+# then a polynomial of i. These weights convert the coefficients of the force table to the
+# coefficients of this polynomial.
 SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
@@ -127,19 +127,20 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 
 
 def rated_heating(keys: Coils) -> float:
-    """Return the integral of the squared current [A^2 s] for the rated temperature rise.
+    """Return the integral of the squared current [A^2 s] that heats a coil by the rated rise.
 
-    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns, with the
-    heat capacity c and the cross-section A of the wire.
+    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns. c is the
+    volumetric heat capacity and A the cross-section of the wire.
     """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
 
 
 def _force_contributions(values: np.ndarray, current: float) -> np.ndarray:
-    """Return the contribution (3, heights) of each of :data:`SERIES_COEFFICIENTS` to the force.
+    """Return the contribution of each of :data:`SERIES_COEFFICIENTS` to the force [N].
 
-    The force is for the ``current`` [A]. ``values`` (heights, 6) are the coefficients of the table.
+    The returned array has the shape (3, heights), for the series ``current`` [A] in both coils.
+    ``values`` contains the coefficients of the force table, of shape (heights, 6).
     """
     weights = np.array(list(SERIES_COEFFICIENTS.values()), dtype=float)
     return current ** np.arange(3)[:, None] * (weights @ values.T)
@@ -157,14 +158,15 @@ def coils_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of the coils, with the force on the node ``v`` of the sphere.
 
-    With ``apart``, the coils between ``lp ln`` and ``up un`` have resistance, inductance and
-    back-EMF. Otherwise, both coils are resistors between ``drive`` and ``ret``, the lower coil
-    reversed. The same force then needs three functions of height instead of six. Pins and law come
-    from :func:`kc2spice.physics.coils.declare_coils`.
+    With ``apart``, the lower coil is between ``lp`` and ``ln``, the upper coil is between ``up``
+    and ``un``, and both have resistance, inductance and back-EMF. Otherwise, both coils are
+    resistors in series between ``drive`` and ``ret``, with the lower coil reversed. The force then
+    needs three functions of the height instead of six. :func:`kc2spice.physics.coils.declare_coils`
+    defines the pins and equations.
 
-    ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
-    the temperature coefficient [1/K] and the reference temperature [K] of the wire; without both,
-    there are no heat pins.
+    ``points`` is the number of equally spaced heights in the resampled lookup tables. ``wire``
+    contains the temperature coefficient [1/K] and the reference temperature [K] of the wire;
+    without ``wire``, there are no heat pins.
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
     low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
@@ -203,7 +205,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def expand(
         self, part: Part[Coils], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the driver between the controller and the coils."""
+        """Return the table of the driver that the key ``driver`` describes."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -227,12 +229,15 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return (*ends, *thermal)
 
     def equilibrium_conditions(self, part: Part[Coils], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths in equilibrium: each pin except the heat pin is fixed to ground."""
+        """Return the paths in equilibrium: every pin except ``heat`` has a path to ground."""
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
-        """Join position and velocity to the pins of the sphere or of the part that moves it."""
+        """Return the default connections of ``y`` and ``v`` to the sphere.
+
+        If another part prescribes the motion of the sphere, they are connected to that part.
+        """
         ball = find_sphere(part, scene).name
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
@@ -253,8 +258,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
             )
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # Part, key, meaning, and the limit of another part, with the required order of both
-            # values.
+            # Each rule contains a problem, the key, whether its value is right, the limit in words,
+            # and the limit.
             rules = (
                 ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
@@ -297,7 +302,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[LargestIndentation]:
-        """Yield the indentation by the sphere after a fall from the upper end of the table."""
+        """Yield the indentation that the sphere causes after a fall from the table's upper end."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -320,27 +325,28 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _make_unit_catch(self, part: Part[Coils], count: int) -> Catch:
-        """Return the keys that determine a force table, in addition to the sphere's radius."""
+        """Return keys for a force table of unit remanence with ``count`` heights."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
-        """Return the keys that determine the force table."""
+        """Return the cache key of the force table: actuator keys and radius of the sphere."""
         catch = self._make_unit_catch(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": find_sphere(part, scene).keys.radius}
 
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
-        """Compute the force table for unit remanence, then scale and shift the table exactly.
+        """Return the force table of the actuator.
 
-        A ``full`` table has so many heights that the interpolation error of its splines is
-        ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring.
+        The table is computed for unit remanence, and then scaled and shifted, which is exact. A
+        ``full`` table has so many heights that the interpolation error of its splines is
+        ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring magnet.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
         unit = self._make_unit_catch(part, count)
         key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> EMTable:
-            """Return the model of the part."""
+            """Compute the force table for unit remanence."""
             from kc2spice.fem.magnet_field import compute_catch_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
@@ -350,7 +356,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def subcircuit_name(self, part: Part[Coils], scene: Scene) -> str:
-        """Return the name of the subcircuit: ``coil`` or the name of the part."""
+        """Return the name of the subcircuit, which is ``coil`` or the name of the part."""
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name
@@ -442,7 +448,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def finer_mesh(
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Yield the changes of force and inductance if the cells of the mesh are half as wide."""
+        """Yield the relative changes of force and inductance on a mesh of half the cell size."""
         from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
@@ -556,7 +562,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
 
     def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
-        """Yield the assumptions of the model."""
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if has_real_coils(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
@@ -588,7 +594,10 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
 
 def plot_force(part: Part[Coils], build: Build) -> Figure:
-    """Plot the force over height without current, and with equal and with opposite currents."""
+    """Plot the force on the sphere versus its height.
+
+    The curves are for zero current, equal currents and opposite currents in the coils.
+    """
     table = build.model(part, EMTable)
     limit = largest_current(part, build.scene) or DEFAULT_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
@@ -603,7 +612,10 @@ def plot_force(part: Part[Coils], build: Build) -> Figure:
 
 
 def plot_impedance(part: Part[Coils], build: Build) -> Figure:
-    """Plot ``|R + j w L|`` of each coil, and of both coils in series with opposite currents."""
+    """Plot the impedance ``R + j w L`` of each coil, and of both coils in series.
+
+    In series, the coils have opposite currents.
+    """
     table = build.model(part, EMTable)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
     currents = {"lower": (1.0, 0.0), "upper": (0.0, 1.0), "both": (1.0, -1.0)}
@@ -616,7 +628,10 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
 
 
 def result_prefix(part: Part[Coils]) -> str:
-    """Return the prefix of result names: ``coil`` for the paper's catch, else the part's name."""
+    """Return the prefix of the part's result names.
+
+    It is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
+    """
     return "coil" if part.name == "catch" else part.name
 
 
@@ -627,30 +642,32 @@ def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
 
 
 def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Return whether the netlist of the part has terminals of both coils."""
+    """Return whether the netlist of the part has separate terminals for both coils."""
     return has_real_coils(part, scene) or bool(scene.list_parts("current_cases"))
 
 
 def _format_end(height: float) -> str:
-    """Return an end [mm] of a force table that contains a height [m] of the sphere, as text."""
+    """Return a suggested end of the force table in mm, beyond a height [m] of the sphere."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
 def _overlap(a: Ring, b: Ring) -> float:
-    """Return the height [m] along which two rings overlap."""
+    """Return the axial length [m] along which two rings overlap."""
     return (a.height + b.height) / 2 - abs(a.y - b.y)
 
 
 def _format_height(height: float) -> str:
-    """Return a height [m] in mm with four digits."""
+    """Return a height [m] as a string in mm with four significant digits."""
     return f"{1e3 * height:.4g} mm"
 
 
 def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
-    """Advise a smaller kick of a sphere whose heights ``y`` [m] leave the table.
+    """Return the advice to reduce the kick that moves the sphere out of the force table.
 
-    The height of a flight is proportional to the square of the launch velocity, which is
-    proportional to the voltage of the kick.
+    ``y`` contains the heights [m] of the sphere.
+
+    The height of a flight is proportional to the square of the launch velocity. The launch velocity
+    is proportional to the voltage of the kick.
     """
     travel, room = float(y.max() - y[0]), float(table.y[-1] - y[0])
     if y.max() <= table.y[-1]:
@@ -669,7 +686,7 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
 
 
 def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the recorded currents [A] of the coils, the upper one first."""
+    """Return the recorded currents [A] of the coils by name, upper coil first."""
     result = {}
     for coil in reversed(COIL_NAMES):
         name = f"{result_prefix(part)}.{coil}.current"
@@ -679,7 +696,7 @@ def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]
 
 
 def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
-    """Return whether a pin of the coils is joined to another part."""
+    """Return whether a pin of the coils is connected to another part."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *COIL_PINS)}
     for other in scene.parts.values():
         joined = (*other.pins.values(), *scene.joins[other.name].values())
@@ -689,22 +706,23 @@ def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
 
 
 def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
-    """Return the largest coil current [A] of the controllers of the scene.
+    """Return the largest coil current [A] that a controller of the scene can set.
 
-    The result is 1 A if another part drives the coils, and 0 without a drive.
+    If another kind of part drives the coils, return 1 A. Without a drive, return 0.
     """
     limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", Control)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 
 def interpolation_error(table: EMTable, current: float) -> float:
-    """Return the estimated error of the spline over the height, relative to the largest force.
+    """Return the error estimate of the force spline, relative to the largest force.
 
-    The largest force is for currents up to ``current`` [A] in both coils. With twice the spacing of
-    heights, the error of a fine spline is 16 times larger; measured ratios are at least 11 (the
-    paper's magnets with 9 positions). The estimate is the error of a spline through every second
-    height, divided by a ratio of at most 8. The ratio is smaller if the error of a spline through
-    every fourth height is less than 8 times larger. With too few heights, the ratio is 1.
+    The largest force is for currents up to ``current`` [A] in both coils. Doubling the distance
+    between heights makes the error of a fine spline 16 times larger. Measured ratios are at least
+    11, for the paper's magnets with 9 positions. The estimate is the error of a spline through
+    every second height, divided by a ratio of at most 8. The ratio is smaller if the error of a
+    spline through every fourth height is less than 8 times larger. With too few heights, the ratio
+    is 1.
     """
     values = table.coefficients
     largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())
@@ -720,7 +738,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
 
 
 def distance_outside(table: EMTable, y: np.ndarray) -> float:
-    """Return the largest distance [m] by which the heights ``y`` [m] are outside the table."""
+    """Return the largest distance [m] of the heights ``y`` [m] from the range of the table."""
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
 
 

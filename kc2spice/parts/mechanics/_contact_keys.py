@@ -18,12 +18,12 @@ from kc2spice.core.quantities import (
     si,
 )
 
-# N/m; a mass of one gram on this spring vibrates at 160 GHz, which no simulator can resolve
+# Largest stiffness [N/m]. A mass of one gram on this spring vibrates at 160 kHz.
 MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
-    """Keys of a penalty contact, with one spring for each port of ``a`` (paper, equation 10)."""
+    """Keys of a penalty contact with a spring at each port of its side ``a`` (paper, eq. 10)."""
 
     penalty: Stiffness = Field(
         1e8,

@@ -1,15 +1,15 @@
 """Stop of a moving plate, comb or armature: a spring that returns a part of the impact energy.
 
-Beyond ``travel``, the force at the indentation d and its rate v = dd/dt is::
+Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd/dt. Its force is::
 
     F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
     loss = (1 - restitution^2) / (1 + restitution^2)
 
-Without ``damping``, the stiffness for a mass faster than ``slow`` is ``1 + loss`` times the stop
-stiffness while d increases, and ``1 - loss`` times while d decreases. For any mass, the share
-``restitution^2`` of the energy remains. Slower masses come to rest (O. R. Walton, R. L. Braun, J.
-Rheol. 30 (1986) 949). The damping is proportional to the stiffness (H. Hunt, F. R. E. Crossley, J.
-Appl. Mech. 42 (1975) 440).
+Without ``damping``, a mass that is faster than ``slow`` feels ``1 + loss`` times the stiffness
+``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. Any such mass
+keeps the fraction ``restitution^2`` of its energy. Slower masses come to rest (O. R. Walton, R. L.
+Braun, J. Rheol. 30 (1986) 949). The damping is proportional to the stiffness (H. Hunt, F. R. E.
+Crossley, J. Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated
@@ -18,7 +18,8 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Ratio, Section, si
 
-# m/s; after an impact at this velocity, a mass rebounds by a nanometre against 5 m/s2
+# Velocity [m/s] below which an impact has no rebound. At this velocity, a mass rebounds by only a
+# nanometre against an acceleration of 5 m/s2.
 MIN_STRIKE_VELOCITY = 1e-4
 
 
@@ -51,7 +52,7 @@ STOP_NEGLECTED = (
 
 
 def write_stop_energy(indentation: str, share: str = "") -> str:
-    """Write the energy of the stop's spring times ``share``, as an expression.
+    """Return the expression of the energy of a stop's spring, times ``share``.
 
     ``indentation`` is negative before the stop is reached.
     """
@@ -59,6 +60,9 @@ def write_stop_energy(indentation: str, share: str = "") -> str:
 
 
 def write_stop_loss(indentation: str, rate: str, share: str = "") -> str:
-    """Write the dissipative force of the stop on the coordinate with the velocity ``rate``."""
+    """Return the expression of a stop's dissipative force, times ``share``.
+
+    ``rate`` is the velocity of the coordinate on which the force acts.
+    """
     factor = f"(loss*{rate}/sqrt({rate}^2 + slow*slow) + damping*{rate})"
     return f"{share}stop*max(0, {indentation})*{factor}"

@@ -1,4 +1,4 @@
-"""Data that parts in contact exchange: surfaces, largest indentation, and separation."""
+"""Contact surfaces of parts, largest indentations, and the separation of contacts."""
 
 from __future__ import annotations
 
@@ -29,25 +29,26 @@ if TYPE_CHECKING:
 
 FLOOR_PORT = "floor"  # port of a rigid plane
 SPHERE_PATCH = "patch"  # port of an elastic sphere
-# Ratio of the error of the pressure basis to the change of the force by basis functions half as
-# wide. A comparison with functions a quarter as wide gives 1.8.
+# Assumed ratio of the error due to the pressure basis to the change of the force with basis
+# functions of half the width. A comparison with functions of a quarter of the width gives a ratio
+# of 1.8.
 REFINEMENT_LIMIT = 3.0
-_MIN_FLIGHT = 20e-6  # s, several periods of the chip; a shorter flight is a bounce within the kick
-# Safety factor on an indentation, because a body is not a half-space and few rings carry the force.
+_MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick
+# Safety factor on an estimated indentation, because a body is not a half-space, and few rings carry the force.
 _INDENTATION_MARGIN = 1.25
 
 
 @dataclass(frozen=True)
 class ContactSurface:
-    """Surface of a part in a contact, with its pins and their distance [m] from the axis.
+    """Surface of a part in a contact, with its pins and their distances [m] from the axis.
 
-    ``ports`` are the pins whose voltage is the position in um, and on which the force acts. For a
-    rigid part, the force acts on the pin ``velocity`` instead. ``radius`` [m] is the radius of a
-    sphere, None for a plane. ``sectors`` is the number of symmetry sectors if the stiffness applies
-    to one sector. For a port that is a patch with a pressure basis, ``patch`` [m] is its radius,
-    ``compliance`` is its compliance, and ``pace`` [s] is its response time. ``elastic`` is the part
-    with the port ``patch``, if the surface is rigid. ``modulus`` [Pa] is the indentation modulus if
-    the surface is a half-space.
+    The voltages of the pins ``ports`` are positions in um, and the contact force acts on these
+    pins. For a rigid part, the force acts on the pin ``velocity`` instead. ``radius`` [m] is the
+    radius of a sphere, None for a plane. ``sectors`` is the number of symmetry sectors if the
+    stiffness applies to a single sector. If the port is a patch with a pressure basis, ``patch``
+    [m] is its radius, ``compliance`` is its compliance, and ``pace`` [s] is its response time. If
+    the surface is rigid, ``elastic`` is the part that models its elasticity with the port
+    ``patch``. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
     """
 
     part: str
@@ -64,16 +65,19 @@ class ContactSurface:
 
     @property
     def rigid(self) -> bool:
-        """Whether contact forces act on the pin ``velocity``."""
+        """Whether the surface is rigid, so that contact forces act on the pin ``velocity``."""
         return bool(self.velocity)
 
     @property
     def force_pins(self) -> tuple[str, ...]:
-        """Pins on which the contact force acts."""
+        """Pins of the part on which the contact force acts."""
         return (self.velocity,) if self.velocity else self.ports
 
     def joins(self, pins: Iterable[str], scene: GovernedScene) -> dict[str, str]:
-        """Return the pins of the moving part to which this side of the contact is joined."""
+        """Return the connections of the contact's ``pins`` to the pins of this surface.
+
+        If another part prescribes the motion of the surface, the pins of that part are used.
+        """
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
         owner = scene.movers.get(self.part) or self.part
@@ -81,7 +85,7 @@ class ContactSurface:
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def height(self, port: str, waves: Waveforms) -> np.ndarray | None:
-        """Return the position [m] of the surface at a port, zero at the first touch."""
+        """Return the position [m] of the surface at ``port``, which is zero at the first touch."""
         if self.part == GROUND:
             return np.zeros(next(iter(waves.data.values())).size)
         if self.radius is not None and self.rigid:
@@ -92,19 +96,19 @@ class ContactSurface:
 
 @dataclass(frozen=True)
 class LargestIndentation:
-    """Largest indentation of two surfaces [m], with its cause."""
+    """Largest indentation [m] of two surfaces in a contact, with its cause."""
 
     depth: float
     why: str
 
 
 class TouchablePart(PartType[KeysT]):
-    """Base of part types that have a surface for contacts, or that press surfaces together."""
+    """Base class of part types that have a contact surface, or that press surfaces together."""
 
     def surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the surface for a contact; None if the part has no such surface."""
+        """Return the contact surface of the part; None if it has none."""
         return None
 
     def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[LargestIndentation]:
@@ -115,16 +119,18 @@ class TouchablePart(PartType[KeysT]):
 def find_surface(
     part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
 ) -> ContactSurface | None:
-    """Return the surface of a part for a contact at these ports, or at ports the part selects."""
+    """Return the contact surface of a part at ``ports``; None if the part has none.
+
+    Without ``ports``, the part selects its contact ports.
+    """
     return part.type.surface(part, scene, ports) if isinstance(part.type, TouchablePart) else None
 
 
 def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Return the gap [m] under a sphere at distances from the axis on which it touches a plane.
+    """Return the gap [m] between a sphere and a plane that it touches on the axis.
 
-    The gap is ``R - sqrt(R^2 - r^2)``.
-
-    The form ``r^2 / (R + sqrt(R^2 - r^2))`` avoids cancellation.
+    At the distance r from the axis, the gap under a sphere of radius R is ``R - sqrt(R^2 - r^2)``.
+    It is computed as ``r^2 / (R + sqrt(R^2 - r^2))``, which avoids cancellation.
     """
     r = np.asarray(distance, dtype=float)
     return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
@@ -132,7 +138,7 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ContactPair:
-    """Both sides of a contact: ``a`` below and ``b`` above.
+    """Both sides of a contact: the surface ``a`` below and the surface ``b`` above.
 
     Side ``a`` has one or several ports. The contact opens if ``b`` rises.
     """
@@ -142,21 +148,22 @@ class ContactPair:
 
     @property
     def keys(self) -> ContactKeys:
-        """Keys of the contact."""
+        """Keys of the contact part."""
         return self.part.keys
 
     @cached_property
     def a(self) -> ContactSurface:
-        """Surface of the lower side."""
+        """Surface on the lower side of the contact."""
         return self._side("a", spherical=False)
 
     @cached_property
     def b(self) -> ContactSurface:
-        """Surface of the upper side."""
+        """Surface on the upper side of the contact."""
         return self._side("b", spherical=True)
 
     def _side(self, key: str, *, spherical: bool) -> ContactSurface:
-        """Return the surface of one side of the contact."""
+        """Return the surface that the key ``a`` or ``b`` selects, by default the only possible
+        one."""
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
@@ -217,7 +224,7 @@ class ContactPair:
 
     @cached_property
     def deepest_penetration(self) -> LargestIndentation:
-        """Return the largest indentation [m] that any part of the scene can cause."""
+        """Largest indentation [m] that any part of the scene can cause in the contact."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         result = [LargestIndentation(0.0, "its weight")]
@@ -228,26 +235,30 @@ class ContactPair:
 
     @property
     def has_initial_velocity(self) -> bool:
-        """Return whether a side can have an initial velocity; a rigid ceiling never moves."""
+        """Whether the motion of the contact may begin with a velocity at t = 0.
+
+        A contact with a fixed or a rigid side is treated in the same way.
+        """
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     def forces(self, waves: Waveforms) -> np.ndarray:
-        """Return the recorded forces [N] of the ports (ports, n)."""
+        """Return the recorded forces [N] at the ports, an array of shape (ports, n)."""
         return np.array([waves[f"{self.part.name}.force.{port}"] for port in self.ports])
 
     # --- the law ----------------------------------------------------------------------------------
 
     @cached_property
     def contact_force(self) -> ContactForce:
-        """Return the contact law of the whole device at each port.
+        """Contact law at each port, for the whole device.
 
-        A sphere of radius R on a plane: ``4/3 E* sqrt(R) x^(3/2)``, ``1/E* = 1/M_a + 1/M_b`` by the
-        sides' indentation moduli, ``1/R = 1/R_a + 1/R_b`` of two spheres (Hertz 1881). In a groove
-        of opening angle g, the indentation of both flanks is ``s x``, ``s = sin(g/2)``, and the
-        component ``s`` of the flank forces acts along the axis. The stiffness is ``2 s^(1 +
-        power)`` times the stiffness of one flank, and the damping depends on the closing speed ``s
-        x'``. The normal force of each flank is ``F / (2 s)``, so that the friction along the groove
-        is ``1 / s`` times the coefficient.
+        For a sphere of radius R, the force is ``4/3 E* sqrt(R) x^(3/2)`` at the indentation x
+        (Hertz 1881). The combined modulus follows from the indentation moduli of both sides,
+        ``1/E* = 1/M_a + 1/M_b``. For two spheres, ``1/R = 1/R_a + 1/R_b``. In a groove of opening
+        angle g, both flanks are indented by ``s x`` with ``s = sin(g/2)``, and the component ``s``
+        of the flank forces acts along the axis. The stiffness is therefore ``2 s^(1 + power)``
+        times the stiffness of one flank, and the damping depends on the closing speed ``s x'``. The
+        normal force of each flank is ``F / (2 s)``, so that the friction force along the groove is
+        ``1 / s`` times the friction force on a plane.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -274,13 +285,13 @@ class ContactPair:
 
     @property
     def half_angle_sine(self) -> float | None:
-        """``sin(g/2)`` of the opening angle g of a groove; None for other shapes."""
+        """Sine of half the opening angle of the groove; None without a groove."""
         groove = self.keys.groove
         return None if groove is None else math.sin(math.radians(groove) / 2)
 
     @property
     def _modulus(self) -> float:
-        """Combined modulus ``E*`` [Pa] of both sides."""
+        """Combined modulus ``E*`` [Pa] of both sides of the contact."""
         if self.keys.modulus is not None:
             return float(self.keys.modulus)
         compliance = 0.0
@@ -297,7 +308,7 @@ class ContactPair:
 
     @cached_property
     def pressure_basis(self) -> PressureBasis:
-        """Pressure basis functions (P1) over the patch of ``a``."""
+        """Piecewise linear (P1) basis functions for the pressure on the patch of side ``a``."""
         from kc2spice.bodies.pressure import choose_pressure_basis
 
         return choose_pressure_basis(self.keys.spacing, self.a.patch)
@@ -310,7 +321,8 @@ class ContactPair:
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
         """Return the sum of the compliances of both sides, and its response time [s].
 
-        The response time is the mean of the times of both sides.
+        The response time is the mean of the response times of both sides, weighted by their
+        compliances.
         """
         assert self.a.compliance is not None
         result = self.a.compliance(shape)
@@ -326,7 +338,10 @@ class ContactPair:
         return replace(result, compliance=total, patch=result.patch + other.patch), pace
 
     def basis_forces(self, force: float) -> np.ndarray:
-        """Return the contact forces (n,) [N] on the basis functions, whose sum is ``force``."""
+        """Return the contact force [N] on each basis function, an array of shape (n,).
+
+        The sum of these forces is ``force``.
+        """
         from kc2spice.bodies.pressure import solve_contact_forces
 
         assert self.b.radius is not None
@@ -341,9 +356,9 @@ class ContactPair:
     def basis_error(self) -> float:
         """Return the error estimate of the force due to the pressure basis; 0 for rings.
 
-        The estimate is the difference to the force with basis functions half as wide, at depths
-        from half of the largest depth of the scene. Both forces include the compliance of the
-        patch.
+        The estimate is a multiple of the relative change of the force with basis functions of half
+        the width. The forces are compared at depths from half of the largest depth of the scene on.
+        Both forces include the compliance of the patch.
         """
         from kc2spice.bodies.pressure import choose_pressure_basis
 
@@ -362,11 +377,11 @@ class ContactPair:
     # --- motion -----------------------------------------------------------------------------------
 
     def pushed_depth(self, waves: Waveforms) -> np.ndarray | None:
-        """Return the indentation [m] if a part pushes side ``b``; None if ``b`` moves freely."""
+        """Return the prescribed indentation [m] of side ``b``; None if ``b`` moves freely."""
         return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
     def lowest_point(self, waves: Waveforms) -> np.ndarray | None:
-        """Return the position [m] of side ``b`` at its lowest point, zero at the first touch."""
+        """Return the position [m] of the lowest point of side ``b``, zero at the first touch."""
         depth = self.pushed_depth(waves)
         result = self.b.height(self.b.ports[0], waves) if depth is None else -depth
         if not self.b.elastic or result is None:
@@ -376,7 +391,7 @@ class ContactPair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
-    """Return both sides of a contact from its record."""
+    """Return both sides of a contact, from the record of the scene if it has them."""
     record = scene.record(contact)
     if record is None or not isinstance(record.shared_data, ContactPair):
         return ContactPair(contact.with_schema(ContactKeys), scene)
@@ -384,7 +399,7 @@ def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
 
 
 def single_pair(scene: GovernedScene) -> ContactPair | None:
-    """Return the contact of the scene if there is exactly one."""
+    """Return the contact pair of the scene if it has exactly one contact, otherwise None."""
     contact = scene.find_only_part("contact")
     return None if contact is None else make_pair(contact, scene)
 
@@ -408,11 +423,11 @@ def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> I
 def impact_penetration(
     sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
 ) -> Iterator[LargestIndentation]:
-    """Yield the indentation of bodies by a sphere that arrives with ``speed`` [m/s].
+    """Yield the largest indentation by a sphere that arrives with ``speed`` [m/s].
 
     Among all states with the indentation d, the static state has the smallest stored energy. The
-    static law therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz
-    1881).
+    static law of Hertz (1881) therefore gives an upper bound of d, ``m v^2 / 2 = 8/15 E sqrt(R)
+    d^(5/2)``. m is the mass of the sphere, v its speed, R its radius and E the combined modulus.
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.list_parts("contact"):
@@ -432,17 +447,15 @@ def impact_penetration(
 def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Return time [s] and velocity [m/s] at the launch, the end of the contact before the flight.
+    """Return the time [s] and velocity [m/s] of the launch, at which the flight begins.
 
-    The result is None without a flight.
+    Return None without a flight. In contact, the force is proportional to ``overlap**power``.
 
-    In contact, the force is proportional to ``overlap**power``.
-
-    A gap is a flight if it lasts 20 us or until the data end. An interval without contact also
-    occurs if a body rebounds and strikes again later. The launch is the first flight with at least
-    half of the largest speed among the flights that begin within 20 us after ``busy`` [s], the end
-    of the drive. If no flight has half of this speed, the launch is the first flight. By default,
-    the end of the drive is unknown, and all flights are compared.
+    An interval without contact is a flight if it lasts at least 20 us, or until the end of the
+    data. There can be several flights, because a body may rebound and strike again later. Only
+    flights are compared that begin at most 20 us after ``busy`` [s], the end of the drive; if there
+    is none, only the first flight is used. The launch is the first of them with at least half of
+    their largest speed. By default, the end of the drive is unknown, and all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
@@ -461,10 +474,10 @@ def find_separation(
 def _extrapolate_release(
     t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int
 ) -> tuple[float, float]:
-    """Return time and velocity at the instant at which the extrapolated force is zero.
+    """Return the time [s] and velocity [m/s] at which the extrapolated contact force is zero.
 
-    The velocity is extrapolated from the flight back to this instant: it still changes under load
-    after the last loaded sample, but is constant in flight.
+    The velocity is extrapolated from the flight back to this time. After the last sample with a
+    contact force, the velocity still changes under load, while in flight it changes steadily.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:
@@ -476,10 +489,10 @@ def _extrapolate_release(
 
 
 def last_source_change(scene: WiredScene) -> float:
-    """Return the time [s] at which the last source stops changing.
+    """Return the time [s] after which all sources of the scene are constant.
 
-    Sources that are joined only to controllers are ignored. The time is infinite if no other source
-    changes, or if another source never stops changing.
+    Sources that are connected only to controllers are ignored. The time is infinite if no other
+    source changes, or if another source never stops changing.
     """
     ends = []
     for source in scene.list_parts_with_schema("source", SourceKeys):

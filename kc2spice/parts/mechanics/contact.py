@@ -51,28 +51,28 @@ from kc2spice.scene.parttype import register
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
-# Largest energy that the springs may gain or lose, relative to the energy that flowed through them.
+# Largest energy error of the contact springs, relative to the energy that flowed through them.
 MAX_ENERGY_ERROR = 1e-3
-# Number of basis functions across the radius of a contact, for an error of 5e-3; with half as many,
-# the error is 3e-2.
+# Number of basis functions across the radius of a contact, for a relative force error of 5e-3. With
+# half of this number, the error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
-MAX_BASIS_ERROR = 3e-2  # largest error estimate of the force due to the pressure basis functions
+MAX_BASIS_ERROR = 3e-2  # largest relative error of the force due to the pressure basis
 MAX_RING_MOTION = 0.95  # largest displacement at an omitted ring, relative to the gap of this ring
-# Largest product of reltol and the number of contact events of a kick, because every event adds the
-# error of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had
-# launch errors of 9e-4.
+# Largest product of reltol and the number of contact events in a kick, because every event adds the
+# error of a time step. Among 37 kicks of chips with damping ratios of 0.01 to 0.05 %, kicks above
+# this limit had relative errors of the launch velocity of 9e-4.
 MAX_EVENT_RELTOL = 4e-3
-MAX_START_HEIGHT = 1e-8  # m above the body at t = 0 that counts as resting on it
-CONTACT_FREQUENCY = 500e3  # Hz, frequency at which a contact excites bodies
+MAX_START_HEIGHT = 1e-8  # largest height [m] above the body that counts as resting on it
+CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies
 # Factors on solver.reltol for Hertzian and for damped contacts.
 CURVED_RELTOL_FACTOR = 0.1
 DAMPED_RELTOL_FACTOR = 0.01
 MIN_EVENTS = 20  # number of contact events up to which every reltol is sufficient
-INDENTATION_PIN = "dent"  # pin that is joined to the port of an elastic sphere
+INDENTATION_PIN = "dent"  # pin that is connected to the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
-    """Part type ``contact``; the law of a contact depends on its keys and on both parts."""
+    """Part type ``contact``: unilateral contact with a force law from its keys and both parts."""
 
     name = "contact"
     title = "unilateral penalty contact"
@@ -80,7 +80,7 @@ class Contact(DeclaredPart[ContactKeys]):
     schema = ContactKeys
 
     def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> ContactPair:
-        """Return both sides of the contact, for other parts."""
+        """Return both sides of the contact, for use by other parts."""
         return ContactPair(part, scene)
 
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
@@ -101,7 +101,7 @@ class Contact(DeclaredPart[ContactKeys]):
         )
 
     def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Join the pins of the contact to the surfaces of its two parts."""
+        """Return the default connections of the pins to the surfaces of both parts."""
         pair = make_pair(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
@@ -112,7 +112,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium, with paths through surfaces that touch at rest."""
+        """Return the paths in equilibrium, which include surfaces that touch at rest."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -121,10 +121,11 @@ class Contact(DeclaredPart[ContactKeys]):
         return EquilibriumConditions(tuple(clamps))
 
     def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """Yield tighter tolerances for damped and curved laws.
+        """Yield tighter solver tolerances for damped and nonlinear contact laws.
 
         The errors of the trapezoidal rule at closing and opening cancel only for a linear spring.
-        With these tolerances, rebounds that lose 0 to 70 % of their energy have errors of 1.5e-4.
+        With these tolerances, the speeds of rebounds that lose 0 to 70 % of their energy have
+        relative errors of 1.5e-4.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = (
@@ -255,13 +256,13 @@ class Contact(DeclaredPart[ContactKeys]):
     def finer_mesh(
         self, part: Part[ContactKeys], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Yield the change of the force with pressure basis functions half as wide."""
+        """Yield the error estimate from pressure basis functions of half the width."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
             yield Check(name, make_pair(part, build.scene).basis_error(), MAX_BASIS_ERROR)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
-        """Return the description of the error estimate of the mesh."""
+        """Return a note on the error estimate of the pressure basis; empty for contact rings."""
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
@@ -316,7 +317,7 @@ def _declare(
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
 ) -> Declaration:
-    """Declare the contact law of a pair."""
+    """Return the declaration of a contact pair with its contact law."""
     ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
     carried, gaps = INDENTATION_PIN if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
@@ -324,9 +325,9 @@ def _declare(
 
 
 def _sum_factors(pair: ContactPair) -> dict[str, float]:
-    """Return the factor on the sum of the port forces for each total result.
+    """Return the factors that convert the sum of all port forces to results, by result.
 
-    The results are ``force``, and ``flank`` for a groove.
+    The results are ``force``, and for a groove the normal force ``flank`` of a flank.
     """
     return {"force": 1.0} | (
         {} if pair.half_angle_sine is None else {"flank": 1 / (2 * pair.half_angle_sine)}
@@ -334,7 +335,7 @@ def _sum_factors(pair: ContactPair) -> dict[str, float]:
 
 
 def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
-    """Yield the errors of a contact with a pressure basis."""
+    """Yield an error for each key that a contact with a pressure basis cannot have."""
     part, a, b = pair.part, pair.a, pair.b
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
@@ -359,7 +360,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
 
 
 def _loaded_interval(force: np.ndarray) -> slice:
-    """Return the interval of the first contacts, with a margin."""
+    """Return the index range of the first contacts, with a margin."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:
         return slice(None)
@@ -371,8 +372,9 @@ def _loaded_interval(force: np.ndarray) -> slice:
 def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
     """Yield the energy balance of the contact springs: work, stored energy and damping losses.
 
-    Springs release all stored energy. A gain of energy indicates a rebound that is too high. The
-    scale is the work on the springs, or their stored energy if nothing moves.
+    The springs must release all of their stored energy. An energy gain would cause too high a
+    rebound. The scale of the balance is the work on the springs, or their stored energy if nothing
+    moves.
     """
     normal, ports = pair.contact_force, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
@@ -401,7 +403,7 @@ def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> I
 
 
 def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
-    """Yield a check whether the sphere rests on the body at the operating point."""
+    """Yield the check that the sphere rests on the body at the operating point."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
     if (
         pair.b.radius is None
@@ -418,7 +420,7 @@ def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
 
 
 def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
-    """Yield checks of the largest indentation, and of the number of contacts during the drive."""
+    """Yield checks of the largest indentation, and of the number of contact events in a kick."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.contact_force.stiffness
@@ -443,14 +445,16 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
 def _check_open_ports(
     pair: ContactPair, build: Build, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
-    """Yield the check *outer_ring* or *ring_left_out*: the first port without a spring stays open.
+    """Yield the check *ring_left_out* or *outer_ring*: the contact is inside its modelled rings.
 
-    No result contains the displacement of this port. The check assumes that this port rises like
-    the outermost port of the model, plus the indentation of the outermost port by the recorded
-    forces, ``u_K + sum_j S_Kj F_j``. Any indentation of the port itself only increases its distance
-    to the sphere. S is the static compliance, because the response time over the spacing of one
-    ring is negligible. Models with all rings show that the estimate is 10 to 100 % above the
-    largest displacement of the next ring, or below it by at most 5 % of the gap.
+    *ring_left_out* checks that the first ring without a contact spring stays open. The
+    displacement of this ring is not a result of the run. It is estimated as the displacement of the
+    outermost ring K with a spring, plus the indentation of K by the recorded forces F_j, ``u_K +
+    sum_j S_Kj F_j``. Any indentation of the omitted ring only increases its distance to the sphere.
+    S is the static compliance, because the response time over the distance of one ring is
+    negligible. According to models with all rings, the estimate is 10 to 100 % above the largest
+    displacement of the next ring, or below it by at most 5 % of the gap. If all rings have springs,
+    *outer_ring* checks that the last one stays open.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:
@@ -479,9 +483,9 @@ def _check_open_ports(
 
 
 def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
-    """Yield checks of the indentation for a contact with a pressure basis.
+    """Yield checks of the indentation of a contact with a pressure basis.
 
-    The law holds until the contact radius is half of the patch radius. The law is inaccurate if
+    The contact law holds until the contact radius is half of the patch radius. It is inaccurate if
     only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.a.height(pair.a.ports[0], waves)

@@ -1,4 +1,4 @@
-"""Spring whose force has a cubic term, between two displacement pins."""
+"""The part ``cubic_spring``: a spring with a cubic force term between two displacement pins."""
 
 from typing import Annotated
 
@@ -10,7 +10,10 @@ from kc2spice.scene.parttype import register
 
 
 class CubicSpringKeys(Section):
-    """Keys of a spring with ``F = stiffness x + cubic x^3``; a negative ``cubic`` softens it."""
+    """Keys of a spring with the force ``F = stiffness x + cubic x^3``.
+
+    A negative ``cubic`` softens the spring.
+    """
 
     stiffness: Stiffness = Field(gt=0, description="Stiffness at small elongation")
     cubic: Annotated[float, si("N/m3")] = Field(

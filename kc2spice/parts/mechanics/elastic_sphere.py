@@ -1,4 +1,7 @@
-"""Elasticity of a sphere in addition to its rigid motion: indentation and modes."""
+"""The part ``elastic_sphere``: indentation and vibration modes of a sphere.
+
+They are added to the rigid-body motion, which the part ``sphere`` models.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +36,13 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-# Ratio of the end of the band to the lowest natural frequency, so that the band contains the radial
-# mode.
+# Ratio of the upper end of the band to the lowest natural frequency. With this ratio, the band
+# contains the radial mode.
 BAND_RATIO = 2.0
 
 
 class ElasticSphereKeys(LinearKeys):
-    """Keys of the elastic sphere ``of``, whose key ``elastic`` is this table."""
+    """Keys of the elasticity of a sphere, which the key ``elastic`` of the sphere contains."""
 
     of: str = Field(examples=['"SPHERE"'], description="Name of the sphere that is elastic")
     damping: Damping = Damping(ratio=1e-3)
@@ -47,7 +50,7 @@ class ElasticSphereKeys(LinearKeys):
 
 
 class ElasticSphere(LinearBody[ElasticSphereKeys]):
-    """Part type ``elastic_sphere``: elasticity of a sphere."""
+    """Part type ``elastic_sphere``: elasticity of a sphere, relative to its centre of mass."""
 
     name = "elastic_sphere"
     title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
@@ -78,7 +81,7 @@ elastic = true
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
-        _contact(part, scene)  # this call raises the errors of impossible contacts
+        _contact(part, scene)  # raises an error if the contact of the sphere is not valid
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = sphere_material(owner)
         if stuff.piezoelectric:
@@ -112,9 +115,9 @@ elastic = true
     def surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the patch of the sphere if a contact names it as a port; otherwise None.
+        """Return the patch of the elastic sphere if ``ports`` names it; otherwise None.
 
-        Any other contact touches the part ``sphere``.
+        All other contacts touch the part ``sphere``.
         """
         if ports != (SPHERE_PATCH,):
             return None
@@ -126,7 +129,7 @@ elastic = true
         return ContactSurface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
     def full_key(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Mapping[str, Any]:
-        """Return the data that determine the full model: sphere, mesh, pressure nodes."""
+        """Return the cache key of the full model, with sphere, mesh and pressure nodes."""
         body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
             "radius": body.radius,
@@ -140,7 +143,7 @@ elastic = true
     def full(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: Clock
     ) -> LinearModel:
-        """Return the full model of the elastic sphere."""
+        """Build the matrices of the full model of the elastic sphere."""
         from kc2spice.bodies.pressure import model_sphere
 
         shape = make_pair(_contact(part, scene), scene).pressure_basis
@@ -149,10 +152,10 @@ elastic = true
             return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
-        """Return the reduction of the sphere.
+        """Return the reduction settings of the elastic sphere.
 
-        The settings of the scene do not apply, because the modes of a sphere are above the band of
-        any actuator.
+        The settings of the scene do not apply to it, because the modes of a sphere are above the
+        band of any actuator.
         """
         specified: Rom | None = part.keys.rom
         if specified is not None:
@@ -163,17 +166,17 @@ elastic = true
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Return weights that ignore the ringing in free flight.
+        """Return weights of the modes that ignore the ringing in free flight.
 
-        With 0.01 % of damping, the steps would resolve the ringing at megahertz in flight, with
-        eight times as many steps.
+        With a damping ratio of 0.01 %, resolving the ringing at several megahertz during the flight
+        would need eight times as many time steps.
         """
         return COARSE_WEIGHTS
 
     def list_neglected_effects(
         self, part: Part[ElasticSphereKeys], scene: Scene
     ) -> Iterator[Neglected]:
-        """Yield the ringing of the sphere during its free flight."""
+        """Yield the neglected effect of the model, the ringing of the sphere in free flight."""
         why = "steps do not resolve it in flight, and it does not change the path of the centre"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none on the path")
 
@@ -192,7 +195,7 @@ elastic = true
     def _find_compliance(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
-        """Return the contact compliance of the sphere for a set of pressure nodes."""
+        """Return the local compliance of the sphere for the pressure basis ``shape``."""
         from kc2spice.bodies.pressure import LocalCompliance, compute_sphere_compliance
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
@@ -207,7 +210,7 @@ elastic = true
 
 
 def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIsotropicSphere:
-    """Return the elastic sphere with its radius and material."""
+    """Return radius, material and damping of the elastic sphere for its FE model."""
     from kc2spice.bodies.pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)

@@ -31,16 +31,17 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
-_FRAME_PIN = "frame"  # pin of the acceleration of a frame; the pin of a second frame is frame2
+_FRAME_PIN = "frame"  # pin for the acceleration of a frame; the next pins are frame2, frame3, …
 
 
 class MassKeys(Section):
     """Keys of a point mass with ``F = m x''``; ``weight`` adds the force ``-m g``.
 
-    If the mass is joined to a body whose ``base`` has the acceleration ``a``, ``x`` is relative to
-    this frame, and the force ``-m a`` acts in addition. If the mass has a support, a transient
-    begins in equilibrium unless ``position`` or ``velocity`` is stated. Without a support, the
-    transient begins at ``position`` with ``velocity``.
+    If the mass is connected to a body with an accelerated ``base``, its displacement x is relative
+    to the base. The inertial force ``-m a`` then acts on the mass, where a is the acceleration of
+    the base. If the mass has a support, a transient begins in equilibrium unless ``position`` or
+    ``velocity`` is stated. Without a support, the transient begins at ``position`` with
+    ``velocity``.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
@@ -62,7 +63,7 @@ class MassKeys(Section):
 
 
 def _list_frame_pins(count: int) -> list[str]:
-    """Return the names of acceleration pins of frames: ``frame``, ``frame2``, ``frame3``."""
+    """Return the names of the pins for ``count`` frame accelerations: ``frame``, ``frame2``, …"""
     return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
 
@@ -74,10 +75,10 @@ def point_mass(
     velocity: float = 0.0,
     shaken: tuple[float, ...] = (),
 ) -> Declaration:
-    """Declare a mass at the pin ``a`` in an accelerated frame.
+    """Return the declaration of a mass at the pin ``a``, which may be in an accelerated frame.
 
-    ``shaken`` are the components s of the frame's accelerations along the displacement:
-    ``F = m x'' + m g + m sum_k s_k a_k``.
+    ``shaken`` contains the cosine s_k of the angle between each frame acceleration a_k and the
+    displacement x. The force on the pin is ``F = m x'' + m g + m sum_k s_k a_k``.
     """
     branches = [displacement("x", "a", "base")]
     shares, inertia = [], []
@@ -122,7 +123,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Join the acceleration pins of the mass to the acceleration pins of the body."""
+        """Return the default connections of the acceleration pins to those of the body."""
         shakes = _frame_accelerations(part, scene)
         pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
@@ -130,7 +131,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pins of the mass in equilibrium; its weight acts at ``a``."""
+        """Return the equilibrium conditions of the mass; its weight loads the pin ``a``."""
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(
             (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
@@ -144,7 +145,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             yield part.wrong("", problem, got, expected, "delete position and velocity")
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
-        """Return the initial displacement and velocity of the mass."""
+        """Return the initial displacement and velocity of the mass as node voltages."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}
@@ -154,18 +155,18 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def surface(
         self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the pin of the mass as the contact surface."""
+        """Return the contact surface of the mass, a plane at its pin ``a``."""
         return ContactSurface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
-        """Return position [m] and velocity [m/s] at t = 0; None if the mass starts in equilibrium.
+        """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium.
 
         If several masses are fixed to each other, the first mass determines the initial state.
 
         Raises
         ------
-        UsageError : the keys state an initial state, but the part to which the mass is fixed has
-            another initial state.
+        UsageError : the keys state an initial state, but the mass is fixed to a part that
+            determines this state.
         """
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity
@@ -196,11 +197,12 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Return no checks: the energy of a mass near rest is smaller than errors of time steps."""
+        """Return no checks, because time steps cause errors above the energy of a mass near
+        rest."""
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:
-        """Return the metrics that a simulator can compute."""
+        """Return the metric that a simulator can compute: the largest displacement."""
         if build.scene.analysis.type != "transient":
             return {}
         return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
@@ -221,7 +223,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
 
 def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
-    """Return the accelerations of the frames to which the mass belongs."""
+    """Return the accelerations of the frame of the mass; none for a mass in a fixed frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 

@@ -52,14 +52,13 @@ from kc2spice.synthesis.header import SIGN_TEXT
 AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
 REST_STATE = State(0.0, 0.0)
-SETTLING_BAND = 0.05  # relative to the step from rest to set point
-# Largest error of the work, as a fraction; with this error, a launch velocity has an error of about
-# 1e-3.
+SETTLING_BAND = 0.05  # half-width of the band, relative to the step from rest to the set point
+# Largest relative error of the work on a sphere. With this error, a launch velocity has a relative error of about 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
 def _default_density(keys: dict[str, Any]) -> float:
-    """Return the density [kg/m^3] of the material of a sphere, by default steel."""
+    """Return the density [kg/m^3] of the sphere's material; by default the density of steel."""
     material = keys.get("material")
     return STEEL_DENSITY if material is None else _load_material(material).density
 
@@ -109,7 +108,7 @@ class SphereKeys(Section):
     def _require_known_material(
         cls, material: str | dict[str, Any] | None
     ) -> str | dict[str, Any] | None:
-        """Reject a material that is not built in."""
+        """Return the material; raise an error if it does not exist."""
         if material is not None:
             _load_material(material)
         return material
@@ -119,22 +118,23 @@ class SphereKeys(Section):
     def _require_elastic_key(
         cls, elastic: bool | dict[str, Any] | None
     ) -> bool | dict[str, Any] | None:
-        """Raise an error for a key that only an elastic sphere has."""
+        """Return the key ``elastic``, with None in place of false."""
         return None if elastic is False else elastic
 
     @property
     def mass(self) -> float:
-        """Mass of the whole sphere [kg]."""
+        """Mass [kg] of the sphere."""
         return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
 def rigid_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
-    """Declare a sphere with the height x of its lowest point above the first touch.
+    """Return the declaration of a sphere; x is the height of its lowest point.
 
-    If x were the height of the centre, an indentation of a picometre would be within rounding
-    errors. Without ``uic``, ngspice starts from the operating point.
+    x is zero at the first touch. If x were the height of the centre, an indentation of a picometre
+    would be within rounding errors. Without the option ``uic``, ngspice starts from the operating
+    point.
     """
     declaration = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
@@ -155,7 +155,7 @@ def rigid_sphere(
 
 
 class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
-    """Part type ``sphere``: rigid sphere, vertical motion."""
+    """Part type ``sphere``: rigid sphere that moves vertically."""
 
     name = "sphere"
     title = "rigid sphere, vertical motion"
@@ -169,7 +169,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def expand(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the elastic sphere, if the keys describe one."""
+        """Return the table of the part that models the elasticity, if the sphere is elastic."""
         if (elastic := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
@@ -208,7 +208,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the lower pole of the sphere as the contact surface."""
+        """Return the contact surface of the sphere, which is its lower pole."""
         keys, carried = part.keys, _elastic_part(part)
         known = keys.material is not None or carried
         modulus = sphere_material(part).indentation_modulus if known else None
@@ -221,7 +221,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
     def governed_parts(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
-        """Return the initial velocity and height of the sphere itself."""
+        """Return the initial velocity and height that the keys of the sphere state."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
@@ -229,7 +229,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pins of the sphere in equilibrium; its weight acts at ``v``."""
+        """Return the equilibrium conditions of the sphere; its weight loads the pin ``v``."""
         if _has_prescribed_motion(part, scene):
             return EquilibriumConditions()
         return EquilibriumConditions(
@@ -237,7 +237,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
-        """Return zero displacement at t = 0 for a sphere without support."""
+        """Return zero displacement and velocity at t = 0 for a sphere without support."""
         joined = build.scene.joined_pins(part.name, "v")
         if (
             joined
@@ -253,7 +253,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Probe]:
-        """Return the metrics that a simulator can compute."""
+        """Return the metrics that a simulator can compute: largest and final height."""
         if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
@@ -280,9 +280,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def checks(
         self, part: Part[SphereKeys], build: Build, waves: Waveforms
     ) -> Iterator[Balance | Gate]:
-        """Yield the check of the work of all forces against the kinetic energy of the sphere.
+        """Yield the check that the work of all forces equals the gain in kinetic energy.
 
-        The scale of the error is the sum of the magnitudes of all work.
+        The scale of the error is the sum of the magnitudes of the work of all forces.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
@@ -336,7 +336,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
     def initial_motion(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
-        """Return the position [m] and velocity [m/s] at t = 0."""
+        """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium."""
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined_pins(n, "v") or scene.joined_pins(n, "bottom")):
             return None
@@ -375,12 +375,15 @@ def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 
 def sphere_material(part: Part[SphereKeys]) -> Material:
-    """Return the material of the sphere, by default steel, with the density of the sphere."""
+    """Return the material of the sphere with the sphere's density; by default steel."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
 def _elastic_part(part: Part[SphereKeys]) -> str:
-    """Return the name of the part that models the elasticity; empty for a rigid sphere."""
+    """Return the name of the part that models the sphere's elasticity.
+
+    The name is empty for a rigid sphere.
+    """
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
@@ -391,7 +394,7 @@ def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKe
 
 
 def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
-    """Return half the width [m] of the band around the set point in which a sphere has settled."""
+    """Return the half-width [m] of the band around the set point for a settled sphere."""
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
@@ -401,13 +404,19 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
 
 
 def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Return the difference [m] between the centre's height at a pin and the law's coordinate."""
+    """Return the height [m] of a sphere's centre above its coordinate in the equations.
+
+    The sphere is connected to ``pin``; without a sphere, the height is 0.
+    """
     ball = _sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
 def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
-    """Return the height [m] of the centre at t = 0; None if an operating point determines it."""
+    """Return the height [m] of the centre of the sphere at ``pin`` at t = 0.
+
+    Return None without a sphere at the pin, or if an operating point determines the height.
+    """
     ball, states = _sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
         return None
@@ -415,7 +424,7 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
 
 
 def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
-    """Return the sphere whose height a pin reads."""
+    """Return the sphere with a height that ``pin`` measures; None without such a sphere."""
     for name, other in scene.joined_pins(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
             return scene.parts[name].with_schema(SphereKeys)
@@ -423,7 +432,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
 
 
 def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
-    """Return the effect of an elastic sphere, by default of steel, on the contact."""
+    """Return the effect that the sphere's elasticity would have on the contact, in words."""
     sphere_modulus = sphere_material(part).indentation_modulus
     moduli = [make_pair(contact, scene).a.modulus for contact in scene.list_parts("contact")]
     stiffest = max(filter(None, moduli), default=0.0)
@@ -433,7 +442,10 @@ def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
 
 
 def _neglected_air_drag(keys: SphereKeys) -> Neglected:
-    """Return the neglected drag of Schiller and Naumann at 1 m/s, relative to the weight."""
+    """Return the neglected air drag at 1 m/s, relative to the weight of the sphere.
+
+    The drag coefficient is the formula of Schiller and Naumann.
+    """
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY
     coefficient = 24 / reynolds * (1 + 0.15 * reynolds**0.687)
