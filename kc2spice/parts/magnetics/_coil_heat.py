@@ -1,4 +1,4 @@
-"""Heat of the wire of two coils: pins, the heat balance of a run, and the temperature rise."""
+"""Heat in the wire of two coils: heat balance, temperature rise and metrics of a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kc2spice.physics.declaration import (
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Balance, Check, Metric
 
-# largest error of the heat that the time steps of a run cause, as a fraction of the heat
+# largest error of the heat due to the time steps of a run, relative to the heat
 _UNEXPLAINED = 1e-3
 
 

@@ -84,7 +84,8 @@ MAX_FREQUENCY_RATIO = 2.0
 # because a short sine also has energy above its frequency.
 SEEN = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
-# Largest relative change of a magnet's path in ``verify``, with a ten times smaller tolerance of its field.
+# Largest relative change of a magnet's path in ``verify``, where its field has a ten times smaller
+# tolerance.
 MOVED = 1e-3
 # smallest assumed ratio of the change due to finer rings to the error of the rings
 MIN_CHANGE = 0.1

@@ -34,7 +34,8 @@ SPHERE_PATCH = "patch"  # port of an elastic sphere
 # of 1.8.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick
-# Safety factor on an estimated indentation, because a body is not a half-space, and few rings carry the force.
+# Safety factor on an estimated indentation, because a body is not a half-space, and only a few
+# rings carry the force.
 _INDENTATION_MARGIN = 1.25
 
 
@@ -162,8 +163,10 @@ class ContactPair:
         return self._side("b", spherical=True)
 
     def _side(self, key: str, *, spherical: bool) -> ContactSurface:
-        """Return the surface that the key ``a`` or ``b`` selects, by default the only possible
-        one."""
+        """Return the surface that the key ``a`` or ``b`` selects.
+
+        By default, it is the only surface of the scene that fits.
+        """
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
@@ -235,9 +238,9 @@ class ContactPair:
 
     @property
     def has_initial_velocity(self) -> bool:
-        """Whether the motion of the contact may begin with a velocity at t = 0.
+        """Whether a side of the contact may already move at t = 0.
 
-        A contact with a fixed or a rigid side is treated in the same way.
+        This is also assumed for a fixed upper side, and for a rigid lower side.
         """
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 

@@ -1,4 +1,4 @@
-"""Unilateral contact between a body's ports and a sphere or a port of another body (eq. 10)."""
+"""The part ``contact``: unilateral contact between bodies, or a body and a sphere (eq. 10)."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numerics, Vector
 from kc2spice.scene.parttype import register
 
-# Pass limits of the relative difference between launch velocities with the reduced and the full
-# model: a multiple of the error estimate of the reduction, the limit without a certificate, and the
-# largest limit. The largest limit is necessary because a pointwise error at a sharp resonance can
-# be arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
+# Limits of the relative difference between the launch velocities of the reduced and the full model.
+# They are a factor on the error estimate of the reduction, the limit without a certificate, and the
+# largest limit. The largest limit is necessary because the error at a sharp resonance can be
+# arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2

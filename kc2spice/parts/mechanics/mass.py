@@ -197,8 +197,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Return no checks, because time steps cause errors above the energy of a mass near
-        rest."""
+        """Return no checks, because the energy of a mass near rest is below time step errors."""
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:

@@ -1,4 +1,4 @@
-"""The sphere: one vertical degree of freedom, ``m y'' = sum of forces - m g``."""
+"""The part ``sphere``: a mass with the vertical motion ``m y'' = sum of forces - m g``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
 REST_STATE = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # half-width of the band, relative to the step from rest to the set point
-# Largest relative error of the work on a sphere. With this error, a launch velocity has a relative error of about 1e-3.
+# Largest relative error of the work on a sphere. With this error, a launch velocity has a relative
+# error of about 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
