@@ -66,7 +66,9 @@ class FluidTable(Section):
     reference_pressure: Pressure | None = Field(
         None,
         gt=0,
-        description="Rms pressure at 0 dB; by default 20 uPa in gases and 1 uPa in liquids",
+        description=(
+            "Rms sound pressure of the level 0 dB; by default 20 uPa in gases and 1 uPa in liquids"
+        ),
     )
     source: str = Field("", max_length=200, description="Reference for the values of this table")
 
@@ -172,6 +174,8 @@ class FluidKeys(Section):
     )
     motion: Literal["piston"] | None = Field(
         None,
-        description="Assumed motion of a face of a body at this part; with piston, a run states "
-        "the effect of this assumption on the level without a warning",
+        description=(
+            'Assumed motion of the body\'s face at this part; with "piston", a run lists '
+            "the effect of this assumption on the sound level, and prints no warning"
+        ),
     )

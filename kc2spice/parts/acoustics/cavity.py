@@ -68,7 +68,9 @@ class CavityKeys(FluidKeys):
         None,
         ge=1e-6,
         le=1e30,
-        description="Acoustic resistance of leaks to the pin ambient; by default none",
+        description=(
+            "Acoustic resistance of a leak to the pin `ambient`; by default there is no leak"
+        ),
     )
 
     @property

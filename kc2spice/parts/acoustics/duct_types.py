@@ -108,7 +108,9 @@ class VentKeys(DuctKeys):
     )
     end_b: EndType = Field(
         "flanged",
-        description="End correction at the end b; none if a part of type radiation is joined there",
+        description=(
+            "End correction at end `b`; use none if a part of type `radiation` is connected there"
+        ),
     )
 
 
@@ -124,13 +126,15 @@ class TubeKeys(DuctKeys):
         description="End correction at the end b: with a flange, without a flange, or none",
     )
     closed: bool = Field(
-        False, description="Whether a rigid wall closes the end b, which then has no pin"
+        False, description="Whether a rigid wall closes end `b`, which then has no pin"
     )
     sections: Count | None = Field(
         None,
         ge=1,
         le=MOST_SECTIONS,
-        description="Number of sections; by default 30 for each wavelength at the end of the band",
+        description=(
+            "Number of sections of the tube; by default 30 per wavelength at the highest frequency"
+        ),
     )
 
 
@@ -167,8 +171,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.closed(part) else ("a", FAR_END)
 
     def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow from the end ``a`` to the other end or through a
-        leak."""
+        """Return the path of a steady flow: from ``a`` to the other end, or through a leak."""
         return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:

@@ -59,8 +59,10 @@ class ListenerKeys(Section):
     sources: tuple[str, ...] = Field(
         (),
         max_length=64,
-        description="Parts of type radiation whose sound the listener hears; by default all of the "
-        "scene",
+        description=(
+            "Parts of type `radiation` whose sound reaches the listener; by default all "
+            "such parts of the scene"
+        ),
     )
     distance: Length = Field(
         1.0,

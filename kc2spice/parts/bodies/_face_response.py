@@ -118,8 +118,7 @@ class LoadedFace:
         return np.asarray(20 * np.log10(np.maximum(pressure, SILENCE)))
 
     def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
-        """Return the frequency [Hz] of the largest level from ``low`` to ``high``, and this
-        level."""
+        """Return the frequency [Hz] with the largest level in a range, and this level."""
         near = self._resonance_frequencies[
             (self._resonance_frequencies > low / 2) & (self._resonance_frequencies < 2 * high)
         ]

@@ -23,17 +23,17 @@ class FilmKeys(Section):
 
     group: str = Field(
         examples=['"top"'],
-        description="Group of faces that transfer heat to the fluid; top or bottom for layers",
+        description="Group of faces that transfer heat to the fluid; for layers, top or bottom",
     )
     coefficient: FilmCoefficient = Field(
         ge=0,
         description=(
-            "Heat transfer coefficient of the film; a range of it in rom.parameters makes it "
-            "a parameter of the netlist"
+            "Heat transfer coefficient of the film; with a range in rom.parameters, it is a "
+            "parameter of the netlist"
         ),
     )
     pin: Name | None = Field(
-        None, description="Pin whose voltage is the fluid temperature; by default ambient"
+        None, description="Pin whose voltage is the fluid temperature; by default `ambient`"
     )
 
     @model_validator(mode="after")
@@ -52,8 +52,10 @@ class InterfaceKeys(Section):
 
     between: tuple[str, str] = Field(
         examples=['["case", "chip"]'],
-        description="The two groups of elements on both sides of the interface, with their "
-        "names in the key materials",
+        description=(
+            "Two groups of elements, one on each side of the interface, named as in the key "
+            "materials"
+        ),
     )
     resistance: InterfaceResistance = Field(
         gt=0, description="Thermal resistance of the joint, multiplied by its area"
@@ -86,7 +88,9 @@ class HeatSourceKeys(Section):
         None,
         description="Group of elements or faces over which the heat source is distributed evenly",
     )
-    at: Point | None = Field(None, description="Point whose nearest mesh node is the pin")
+    at: Point | None = Field(
+        None, description=("Point; the heat enters the body at the mesh node nearest to it")
+    )
 
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
@@ -111,11 +115,16 @@ class HeatBodyKeys(MeshKeys):
     )
     sources: dict[Name, str | HeatSourceKeys] = Field(
         default_factory=dict,
-        description="Group of each heat source by the name of its pin, or a table with a point",
+        description=(
+            "Heat sources by the name of their pin: a mesh group, or a table with a group "
+            "or a point"
+        ),
     )
     isothermal: dict[Name, str | tuple[str, ...]] = Field(
         default_factory=dict,
-        description="Group or groups of isothermal faces, by the name of their pin",
+        description=(
+            "Isothermal faces by the name of their pin: a group of faces, or a list of groups"
+        ),
     )
     fixed: tuple[str, ...] = Field((), description="Groups of faces at the ambient temperature")
     films: tuple[FilmKeys, ...] = Field((), description="Faces that transfer heat to a fluid")

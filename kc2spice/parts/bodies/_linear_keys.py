@@ -30,9 +30,9 @@ class LinearKeys(Section):
 
 
 class FieldKeys(LinearKeys):
-    """Keys for the stress and the electric field inside a linear body.
+    """Keys for the fields inside a body: stress and electric field, or temperature.
 
-    The key ``fields`` states whether a run computes both fields, or lists the times at which it
+    The key ``fields`` states whether a run computes these fields, or lists the times at which it
     also writes them to VTU files.
     """
 
@@ -41,7 +41,8 @@ class FieldKeys(LinearKeys):
     ) = Field(
         None,
         description=(
-            "Whether fields are computed, or a list of times for which VTU files are written"
+            "Whether a run computes the fields inside the body, or a list of times at which it "
+            "also writes them to VTU files"
         ),
     )
 

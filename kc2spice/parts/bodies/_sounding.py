@@ -131,8 +131,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate() -> FaceLevelEffects | None:
-            """Read the effects of the assumptions about the face from the cache, or compute
-            them."""
+            """Return the effects of the assumptions from the cache; compute them if necessary."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 

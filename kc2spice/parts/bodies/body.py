@@ -127,7 +127,7 @@ class PortKeys(Section):
 
     name: Name = Field(examples=['"tip"'], description="Name of the port and of its pin")
     group: str | None = Field(None, description="Mesh group on which the port acts")
-    at: Point | None = Field(None, description="Point whose nearest mesh node is the port")
+    at: Point | None = Field(None, description="Point; the port is the mesh node nearest to it")
     axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
         None, description="Direction of the displacement, or axis of the rotation"
     )
@@ -333,7 +333,7 @@ class BodyKeys(MeshKeys):
     )
     electrodes: dict[Name, str | tuple[str, ...]] = Field(
         default_factory=dict,
-        description="Mesh group or groups of each electrode, by the name of its pin",
+        description="Electrodes by the name of their pin: a mesh group, or a list of groups",
     )
     floating: tuple[str, ...] = Field(
         (), description="Mesh groups that are conductors without a pin"

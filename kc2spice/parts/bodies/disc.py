@@ -47,9 +47,11 @@ class FeedbackKeys(Section):
     """
 
     inner: Length = Field(
-        0.0, ge=0, description="Inner radius of the feedback electrode; 0 for a circular electrode"
+        0.0,
+        ge=0,
+        description=("Inner diameter of the feedback electrode; 0 for a circular electrode"),
     )
-    outer: Width = Field(gt=0, description="Outer radius of the feedback electrode")
+    outer: Width = Field(gt=0, description="Outer diameter of the feedback electrode")
     gap: Length = Field(
         0.5e-3, gt=0, description="Width of the gap between feedback and main electrode"
     )
@@ -77,7 +79,7 @@ class DiscLayer(Section):
         "up", description="Direction of poling of a ceramic layer"
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Q factor of the layer, for damping.per_material"
+        None, gt=0, description="Q factor of the layer, used with damping.per_material"
     )
 
     @property

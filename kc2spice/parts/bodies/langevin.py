@@ -49,7 +49,7 @@ class PieceKeys(Section):
         examples=['"steel"'], description="Material of the piece, a name or a table"
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Q factor of the piece, for damping.per_material"
+        None, gt=0, description="Q factor of the piece, used with damping.per_material"
     )
 
 
@@ -97,7 +97,8 @@ class BoltKeys(PieceKeys):
         None,
         gt=0,
         description=(
-            "Depth of the bolt in the front mass; by default the length of the first step"
+            "Depth of the bolt in the front mass; by default the length of the front "
+            "cylinder at the rings"
         ),
     )
     head_diameter: Length | None = Field(

@@ -117,21 +117,24 @@ class Stack(Chip, FieldKeys):
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
-        description="Electrical condition of an anode without a connection to another part",
+        description="Electrical condition of the anode if no other part is connected to it",
     )
     rated_field: Annotated[float, si("V/m")] = Field(
         2e6,
         gt=0,
         description=(
-            "Largest electric field in a layer in the direction of poling; the default is 120 V "
-            "across 60 um, which the value in the data sheet should replace"
+            "Largest electric field in a layer in the direction of poling, from the data "
+            "sheet; the default is 120 V across 60 um"
         ),
     )
     drive: KickPulse | None = Field(
         None, description="Voltage pulse of an ideal source at the anode"
     )
     driver: dict[str, dict[str, Any]] | None = Field(
-        None, description="Driver between pulse and chip, { TYPE = { keys } }"
+        None,
+        description=(
+            "Driver circuit between pulse source and chip, as a table { TYPE = { keys } }"
+        ),
     )
 
     @model_validator(mode="before")
@@ -209,8 +212,7 @@ class PiezoStack(MeshedBody[Stack]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the port of the anode, and of all rings up to the last one that the scene
-        needs."""
+        """Return the anode port, and the ports of all rings up to the last required ring."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)

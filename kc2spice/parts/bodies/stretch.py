@@ -50,7 +50,7 @@ class StretchKeys(Section):
     stiffness: Stiffness = Field(
         gt=0,
         description=(
-            "Stiffness along the beam, E A / length; for a plate, this value divided by 1 - nu^2"
+            "Stiffness E A / length along the beam; for a plate, E A / length / (1 - nu^2)"
         ),
     )
     tension: Annotated[float, si("N")] = Field(

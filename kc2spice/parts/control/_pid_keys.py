@@ -16,7 +16,7 @@ class Control(Section):
     The controller drives opposite currents of equal magnitude through both coils.
     """
 
-    setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere")
+    setpoint: Length = Field(2.5e-3, description="Set point of the sphere's height")
     kp: Annotated[float, si("A/m")] = Field(
         5e4, ge=0, description="Proportional gain of the controller"
     )

@@ -45,8 +45,10 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     le: Inductance | None = Field(
         None,
         gt=0,
-        description="Inductance of the voice coil, or with ke or rss the inductance in parallel "
-        "with these; by default 1 us * re, and with ke or rss no inductance",
+        description=(
+            "Inductance of the voice coil; with ke or rss, the inductance in parallel with "
+            "them. By default re times 1 us, and with ke or rss no inductance"
+        ),
     )
     leb: Inductance | None = Field(
         None, gt=0, description="Inductance of the voice coil in series with ke, rss and le"
@@ -88,8 +90,10 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
         None,
         gt=0,
         lt=1,
-        description="Relative increase of the suspension's compliance for each factor e to lower "
-        "frequencies; by default the compliance is constant. cms and rms hold at fs",
+        description=(
+            "Relative increase of the suspension's compliance if the frequency falls by the "
+            "factor e; by default the compliance is constant. cms and rms hold at fs"
+        ),
     )
     xmax: Length | None = Field(
         None, gt=0, description="Largest linear displacement in one direction"

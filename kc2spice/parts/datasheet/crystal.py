@@ -41,8 +41,10 @@ class CrystalKeys(RatedKeys):
 
     f: Frequency = Field(
         gt=0,
-        description="Nominal frequency: the series resonance, or the "
-        "resonance with the load capacitance if that key has a value",
+        description=(
+            "Nominal frequency: the series resonance, or with the key cl the resonance with "
+            "this load capacitance"
+        ),
     )
     cl: Capacitance | None = Field(
         None,

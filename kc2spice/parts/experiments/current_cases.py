@@ -51,7 +51,9 @@ class CurrentCasesKeys(Section):
         (-0.1, 0.0, 0.1),
         min_length=1,
         max_length=1000,
-        description="List of coil current pairs, one pair for each case",
+        description=(
+            "Currents of each coil; the force is computed for every pair of these currents"
+        ),
     )
 
 

@@ -93,7 +93,8 @@ class Coils(ConductorKeys, Catch):
     """Keys of an electromagnetic catch actuator, with an optional driver for its coils."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
-        None, description="Driver between controller and coils, { TYPE = { keys } }"
+        None,
+        description=("Driver circuit between controller and coils, as a table { TYPE = { keys } }"),
     )
     of: str | None = Field(
         None, description="Sphere that the coils pull; by default the only sphere of the scene"
@@ -102,8 +103,8 @@ class Coils(ConductorKeys, Catch):
         100.0,
         gt=0,
         description=(
-            "Largest temperature rise of the wire; 100 K heats wire of thermal class 130 from "
-            "30 to 130 degrees Celsius"
+            "Largest temperature rise of the wire; the default of 100 K is from 30 to 130 "
+            "degrees Celsius, for wire of thermal class 130"
         ),
     )
 

@@ -35,7 +35,8 @@ class ContactKeys(Section):
     rings: Rings = Field(
         "needed",
         description=(
-            "Contact rings in the model: needed, all, or the number of rings from the centre"
+            "Contact rings in the model: needed (rings that can touch), all, or the number "
+            "of rings from the centre"
         ),
     )
     a: str | tuple[str, ...] | None = Field(
@@ -102,8 +103,8 @@ class ContactKeys(Section):
         0.0,
         ge=0,
         description=(
-            "Coulomb friction coefficient between the pins slide and rail, equal on both flanks "
-            "of a groove"
+            "Coulomb friction coefficient between the pins `slide` and `rail`, equal on "
+            "both flanks of a groove"
         ),
     )
     creep: Velocity = Field(
