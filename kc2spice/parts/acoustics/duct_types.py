@@ -447,7 +447,11 @@ stop = "3 kHz"
             )
         if keys.closed and keys.end_b != "none":
             yield part.wrong(
-                "end_b", "a closed end has no fluid outside", keys.end_b, "none", "delete end_b"
+                "end_b",
+                "a closed end cannot have an end correction",
+                keys.end_b,
+                "none",
+                "delete end_b",
             )
         if keys.sections is None and self._required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(

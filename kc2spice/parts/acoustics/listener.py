@@ -148,9 +148,11 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         for k, name in enumerate(part.keys.sources):
             if name not in known:
                 where = f"{part.name}.sources.{k}"
-                yield unknown("the scene has no radiation of this name", name, known, where)
+                yield unknown(
+                    "the scene has no part of type radiation with this name", name, known, where
+                )
             elif name in part.keys.sources[:k]:
-                message = "the listener hears this source twice"
+                message = "sources contains this name twice"
                 yield part.wrong(
                     f"sources.{k}", message, name, "each name once", f"delete the second {name}"
                 )
@@ -158,7 +160,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         if not sources:
             yield part.wrong(
                 "sources",
-                "the scene has no radiating surface that the listener could hear",
+                "the scene has no radiating surface for the listener",
                 "no part of type radiation",
                 'a part with part = "radiation"',
                 'add for example  [surface] with part = "radiation" and radius = "10 mm"',
@@ -172,7 +174,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 yield part.wrong("sources", message, source.name, "sources in one fluid", hint)
         for item in sources:
             if item.pins.get(AMBIENT, GROUND) != GROUND:
-                message = "a listener hears surfaces that radiate into the ambient pressure alone"
+                message = "a listener needs surfaces whose pin ambient is on ground"
                 got = f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}"
                 hint = f"delete {AMBIENT} of the pins of {item.name}"
                 yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}", hint)

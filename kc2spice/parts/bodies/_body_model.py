@@ -204,7 +204,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 problem,
                 target.order,
                 "rom.tolerance",
-                "delete order from rom",
+                "delete the key order from the table rom",
             )
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
@@ -290,10 +290,16 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 small = support_softly(small, band)
                 modal = resonators(small)
             if modal is None and (tangent or constants):
-                got = "damping that couples its modes, or a motion that nothing holds"
-                problem, key = "a loss tangent applies only to models of resonators", "loss_tangent"
+                got = "damping that couples modes, or a rigid-body mode"
+                problem, key = (
+                    "a loss tangent needs uncoupled modes without a rigid-body mode",
+                    "loss_tangent",
+                )
                 if constants:
-                    problem, key = "complex constants apply only to models of resonators", "model"
+                    problem, key = (
+                        "complex constants need uncoupled modes without a rigid-body mode",
+                        "model",
+                    )
                 expected = "ratio, quality or loss_factor"
                 hint = "support the body, or state a band that begins above 0 Hz in rom.band"
                 raise wrong(f"{part.name}.damping.{key}", problem, got, expected, hint)
@@ -400,7 +406,7 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
         where = f"{part.name}.damping.at"
         raise wrong(
             where,
-            "the body has no resonance at which its stiffness is defined",
+            "the body has no resonance frequency at which its complex constants hold",
             None,
             "a frequency",
             'add  at = "1 kHz"  to damping, with a frequency of your band',

@@ -159,7 +159,7 @@ class HeatBodyKeys(MeshKeys):
             )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
             raise invalid_value_error(
-                "the keys materials and interfaces cannot be combined with layers",
+                "layers cannot be combined with materials, interfaces, axisymmetric or groups",
                 None,
                 hint="delete materials, interfaces, axisymmetric and groups",
             )
@@ -188,7 +188,7 @@ class HeatBodyKeys(MeshKeys):
             raise invalid_value_error(
                 f"{THERMAL.reference} is a reserved name: the pin of the surroundings",
                 None,
-                hint="rename this pin, such as outside",
+                hint="rename this pin, for example to outside",
             )
         if not names:
             raise invalid_value_error(

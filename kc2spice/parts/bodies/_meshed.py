@@ -248,7 +248,7 @@ def find_field_problems(
         expected = "a transient, or false"
         if shapes:
             expected = "a transient, fields = true in ac for the shapes of modes, or false"
-        problem = "a list of times in fields needs a transient analysis"
+        problem = "this value of fields needs a transient analysis"
         yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected, "delete fields")
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop]

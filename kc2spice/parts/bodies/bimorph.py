@@ -108,7 +108,7 @@ class BimorphKeys(FieldKeys):
             raise invalid_value_error(
                 "rows needs the key patches",
                 None,
-                hint="add  patches = [WIDTH, GAP]  or delete rows",
+                hint="add for example  patches = 10  or delete rows",
             )
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):

@@ -150,7 +150,7 @@ class PortKeys(Section):
         if self.kind == "face":
             if self.axis is not None:
                 raise invalid_value_error(
-                    "pressure acts at right angles to a face: delete axis", None, hint="delete axis"
+                    'a port with kind = "face" cannot have the key axis', None, hint="delete axis"
                 )
             return self
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
@@ -168,7 +168,7 @@ class PortKeys(Section):
             )
         if isinstance(self.axis, tuple) and not any(self.axis):
             raise invalid_value_error(
-                "axis has no length", None, hint='write for example  axis = "z"'
+                "axis is a zero vector", None, hint='write for example  axis = "z"'
             )
         return self
 
@@ -219,11 +219,11 @@ class PolingKeys(Section):
     def contradiction(self) -> str:
         """Reason why the keys define no poling; an empty string if they define one."""
         if (self.direction is None) == (self.file is None):
-            return "state direction or file: one of them"
+            return "it needs exactly one of the keys direction and file"
         if self.file and self.model_fields_set != {"file"}:
-            return "axis and through have no effect on a file of polings"
+            return "axis and through cannot be combined with a CSV file"
         if self.direction and not (any(self.direction) and any(self.axis)):
-            return "direction and axis need a length"
+            return "direction or axis is a zero vector"
         return ""
 
     @property
@@ -263,7 +263,9 @@ class AxesKeys(Section):
         if self.kind == "cylindrical":
             if self.x is not None:
                 raise invalid_value_error(
-                    "the first axis of cylindrical axes is radial: delete x", None, hint="delete x"
+                    "cylindrical axes cannot have the key x, because their first axis is radial",
+                    None,
+                    hint="delete x",
                 )
             return self
         if self.origin is not None:
@@ -398,7 +400,7 @@ class BodyKeys(MeshKeys):
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
             raise invalid_value_error(
-                "poling has no direction", None, hint="write for example  [0, 0, 1]"
+                "poling contains a zero vector", None, hint="write for example  [0, 0, 1]"
             )
         if len(self.electrodes) == 1:
             raise invalid_value_error(

@@ -188,7 +188,7 @@ def _read_solid(
     for name, stated in keys.materials.items():
         made_of = find_thermal_material(stated, f"materials.{name}")
         if keys.axisymmetric and made_of.conductivity[0] != made_of.conductivity[1]:
-            problem = "a body of revolution conducts alike along its radius and around its axis"
+            problem = "a body of revolution needs equal conductivities along x and y"
             raise wrong(
                 f"materials.{name}",
                 problem,

@@ -247,7 +247,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield from check_range(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
         yield from check_range(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
         layer = keys.height / keys.layers
-        tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
+        tape = "ceramic tape is 1 um to a few millimetres thick; this is height / layers"
         yield from check_range(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
         if drive is not None and keys.driver is None:
             field = abs(drive.voltage) / layer

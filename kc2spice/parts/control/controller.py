@@ -179,7 +179,10 @@ wiring = "parallel"
             )
             hint = f'add  file = "NAME.py"  to [{part.name}], a file beside the scene'
             raise part.wrong(
-                "file", "the file of the controller has no function", expected=expected, hint=hint
+                "file",
+                "the controller has neither a file nor a passed function",
+                expected=expected,
+                hint=hint,
             )
         if not build.trust:
             hint = "read the file; if you trust every line of it, repeat with --trust"

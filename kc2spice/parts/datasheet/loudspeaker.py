@@ -201,7 +201,7 @@ stop = "1 kHz"
         if driver.creep and driver.creep_resistance >= driver.rms:
             raise part.wrong(
                 "creep",
-                "creep alone has more losses at fs than the suspension",
+                "creep alone has higher losses at fs than the whole suspension",
                 f"{keys.creep:g}, which is {driver.creep_resistance:.4g} N s/m at fs",
                 f"less than the mechanical resistance rms = {driver.rms:.4g} N s/m",
                 "enter a smaller creep, or a smaller qms",

@@ -79,7 +79,7 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
     if not keys.release < keys.pick_up < keys.voltage:
         raise part.wrong(
             "pick_up",
-            "the voltages release, pick_up and voltage do not increase",
+            "the voltages are not in the order release < pick_up < voltage",
             f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage {keys.voltage:g} V",
             "release below pick_up, and pick_up below the rated voltage",
             f'exchange release and pick_up: pick_up = "{keys.release:g} V" and '

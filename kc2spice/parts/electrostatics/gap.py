@@ -305,7 +305,10 @@ def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
     row = [port.name for port in offered if port.name.startswith(PATCH_PREFIX)]
     if not row:
-        problem, hint = f"{name} has no patches", "patches = 10, or name its ports"
+        problem, hint = (
+            f"{name} has no patches",
+            "add  patches = 10  to the body, or list its ports in the key a",
+        )
         raise part.wrong("a", problem, repr(name), "a body with patches, or ports", hint)
     return tuple(f"{name}.{port}" for port in row)
 

@@ -297,7 +297,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
             why += f"{name}.{coil}"
             yield from check_range(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
-        magnet = "no permanent magnet has more"
+        magnet = "no permanent magnet has a larger remanence"
         yield from check_range(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
         long = "field and force fall off with the fourth power of the distance"
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)

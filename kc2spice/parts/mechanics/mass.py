@@ -179,7 +179,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                         "position and velocity of this mass are those of the part that it "
                         "is fixed to"
                     )
-                    hint = "a stiff spring between both lets each have its own"
+                    hint = "delete position and velocity, or connect both parts by a stiff spring"
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
                     raise part.wrong("", problem, got, expected, hint)
             return state

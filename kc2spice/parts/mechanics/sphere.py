@@ -201,7 +201,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
                 hint=f"add [contact], otherwise {part.name} moves through {bodies[0]}",
             )
         keys, name = part.keys, part.name
-        small = "grains below stick by adhesion, no transducer moves balls above"
+        small = "smaller grains stick by adhesion, and no transducer moves larger balls"
         yield from check_range(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
         solid = "no solid is lighter than an aerogel or heavier than osmium"
         yield from check_range(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
