@@ -246,22 +246,22 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
     """
     scale, ends = SCALES[item.kind], (item.plus, item.minus)
     words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
-    card = Element.of(item.card_name, *ends, _scale_text(item.value, scale), **words)
+    card = Element.of(item.card_name, *ends, _write_scaled_value(item.value, scale), **words)
     yield card.with_unit(ACOUSTIC.value_unit(ELEMENT_LETTERS[item.kind]))
     if item.leak:
         yield Element.of(
-            f"Gleak_{item.name}", *ends, *ends, _scale_text(item.value, scale * LEAK_RATE)
+            f"Gleak_{item.name}", *ends, *ends, _write_scaled_value(item.value, scale * LEAK_RATE)
         )
     if words:
         node = f"noise_{item.name}"
         yield Element.of(
-            f"Rnoise_{item.name}", node, AMBIENT, _scale_text(f"1/({item.value})", 1.0)
+            f"Rnoise_{item.name}", node, AMBIENT, _write_scaled_value(f"1/({item.value})", 1.0)
         )
         gain = format_number(ACOUSTIC.through_variable.per_unit)
         yield Element.of(f"Gnoise_{item.name}", *ends, node, AMBIENT, gain)
 
 
-def _scale_text(value: str, scale: float) -> str:
+def _write_scaled_value(value: str, scale: float) -> str:
     """Return the text of ``value`` times ``scale``: a number, or an expression in braces."""
     try:
         return format_number(float(value) * scale)

@@ -105,21 +105,29 @@ def fit_boundary_layer(
     q = 1j * np.geomspace(low, high, samples)
     exact, corners = evaluate_layer(layer, q), _space_corners(layer, low, high, per_decade)
     terms = 1 / (corners + q[:, None])
-    loss, size = _dissipation(layer, q, exact), np.abs(exact)
+    loss, size = _compute_dissipation(layer, q, exact), np.abs(exact)
     rows = np.vstack([
-        _dissipation(layer, q[:, None], terms) / loss[:, None],
-        _reaction(layer, terms) / size[:, None],
+        _compute_dissipation(layer, q[:, None], terms) / loss[:, None],
+        _compute_reaction(layer, terms) / size[:, None],
         STATIC_WEIGHT / (corners * STATIC_VALUES[layer])[None],
         STATIC_WEIGHT / (corners**2 * STATIC_SLOPES[layer])[None],
     ])  # fmt: skip
-    target = np.concatenate([np.ones(q.size), _reaction(layer, exact) / size, [STATIC_WEIGHT] * 2])
+    target = np.concatenate(
+        [np.ones(q.size), _compute_reaction(layer, exact) / size, [STATIC_WEIGHT] * 2]
+    )
     weights, _ = nnls(rows, target)
     fitted = terms @ weights
     positive = weights > 0
     return RelaxationSum(
         tuple(zip(corners[positive].tolist(), weights[positive].tolist(), strict=True)),
         float(np.abs(fitted / exact - 1).max()),
-        float(np.abs(_power(layer, q, fitted) / _power(layer, q, exact) - 1).max()),
+        float(
+            np.abs(
+                _compute_dissipated_power(layer, q, fitted)
+                / _compute_dissipated_power(layer, q, exact)
+                - 1
+            ).max()
+        ),
     )
 
 
@@ -133,7 +141,7 @@ def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: in
     return np.union1d(sparse, np.geomspace(dense, top, count))
 
 
-def _dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipative part of a boundary-layer function, which is linear in the weights.
 
     This part is the real part of the admittance, which is ``flow`` for a duct's volume velocity,
@@ -142,11 +150,11 @@ def _dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.n
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
-def _reaction(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
+def _compute_reaction(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
     """Return the reactive part of a boundary-layer function, which represents the stored energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
-def _power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _compute_dissipated_power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipation at a given volume velocity (``flow``) or pressure (other layers)."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

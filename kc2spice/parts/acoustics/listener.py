@@ -132,7 +132,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         """Return the pins in the order of the subcircuit."""
         unit = ACOUSTIC.across.pin_unit
         count = len(self.radiating_surfaces(part, scene))
-        inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _input_names(count))
+        inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _list_input_names(count))
         out = Terminal(OUT, unit, SIGNAL, signal_out=True)
         return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
 
@@ -140,7 +140,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         """Return the default connections, from each input to the pin ``sound`` of a surface."""
         sources = self.radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
-        return dict(zip(_input_names(len(sources)), targets, strict=True))
+        return dict(zip(_list_input_names(len(sources)), targets, strict=True))
 
     def problems(self, part: Part[ListenerKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
@@ -248,7 +248,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         )
         words = ", ".join(
             f"{pin} is the sound of {source.name}"
-            for pin, source in zip(_input_names(len(sources)), sources, strict=True)
+            for pin, source in zip(_list_input_names(len(sources)), sources, strict=True)
         )
         title = f"{name}: {self.title}; {words}"
         validity = (
@@ -373,7 +373,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         yield Neglected("absorption in the fluid", "no loss on the path", size)
 
 
-def _input_names(count: int) -> tuple[str, ...]:
+def _list_input_names(count: int) -> tuple[str, ...]:
     """Return the names of ``count`` input pins, each for the sound pressure of a source."""
     return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
 
@@ -381,7 +381,7 @@ def _input_names(count: int) -> tuple[str, ...]:
 def _write_sum(count: int) -> Iterator[Item]:
     """Yield the cards whose output is the sum of all inputs divided by the distance."""
     base, gain = AMBIENT, f"{{{format_number(REFERENCE_DISTANCE)}/distance}}"
-    for k, pin in enumerate(_input_names(count), 1):
+    for k, pin in enumerate(_list_input_names(count), 1):
         end = OUT if k == count else f"sum{k}"
         yield Element.of(f"E{k}", end, base, pin, AMBIENT, gain)
         base = end

@@ -170,7 +170,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if "time" in waves and (error > FAILURE_ERROR or contact):
             loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))
         if loaded is None:
-            yield _reduction_check(name, error, "", REDUCED_ADVICE)
+            yield _make_reduction_check(name, error, "", REDUCED_ADVICE)
             return
         worst, states = loaded
         model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
@@ -178,7 +178,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         default = self._stated_reduction(part, build.scene) is None and not part.parameter_ranges
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
         advice = FEWER_STATES_ADVICE.format(states, f"{key} = {order}")
-        check = _reduction_check(name, worst, LOADED_UNIT, advice)
+        check = _make_reduction_check(name, worst, LOADED_UNIT, advice)
         more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
         yield replace(check, suggested=more, loaded=True)
         yield Check(
@@ -335,7 +335,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         return Balance(entries, float(np.abs(gap).max()), scale, MAX_STORED_SHARE, exact=exactly)
 
 
-def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
+def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
     """Return the check of a reduced model's error: a warning above 1 %, a failure above 10 %."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

@@ -84,13 +84,13 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         if len(scene.parts) == 1 or scene.ports == "all":
             return every
         names = required_ports(part, scene)
-        known = {"ground", *REFERENCES}.union(*map(_names_in_scene, every))
+        known = {"ground", *REFERENCES}.union(*map(_list_scene_names, every))
         if self.gives_off_heat(part, scene):
             known |= {HEAT, AMBIENT}
-        _require_ports(part, sorted(names - known), names_of(every))
+        _reject_missing_ports(part, sorted(names - known), names_of(every))
         if scene.ports == "declared" and part.declares_ports:
             return every
-        used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _names_in_scene(p)]
+        used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _list_scene_names(p)]
         return tuple(used) or every[:1]
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
@@ -186,7 +186,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         mechanical = names_of(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
-        _require_ports(part, missing, mechanical, "mechanical ")
+        _reject_missing_ports(part, missing, mechanical, "mechanical ")
         if not names:
             return None
         modulus = self.indentation_modulus(part)
@@ -197,7 +197,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return None
 
 
-def _require_ports(
+def _reject_missing_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
     """Raise an error for the first of the ``missing`` ports; ``known`` ports are the hint."""
@@ -238,7 +238,7 @@ def paired_ports(ports: Iterable[Port]) -> list[Port]:
     return [port for port in ports if port.paired]
 
 
-def _names_in_scene(port: Port) -> set[str]:
+def _list_scene_names(port: Port) -> set[str]:
     """Return the names by which a scene can refer to a port."""
     return {port.name, *port.terminals}
 

@@ -37,7 +37,7 @@ class FilmKeys(Section):
     )
 
     @model_validator(mode="after")
-    def _require_film(self) -> FilmKeys:
+    def _require_film_coefficient(self) -> FilmKeys:
         if self.pin is not None and not self.coefficient:
             raise invalid_value_error(
                 "a film with a pin needs a coefficient greater than 0",
@@ -150,7 +150,7 @@ class HeatBodyKeys(MeshKeys):
         return bool(self.fixed) or None in {film.pin for film in films}
 
     @model_validator(mode="after")
-    def _require_complete(self) -> HeatBodyKeys:
+    def _require_consistent_keys(self) -> HeatBodyKeys:
         if bool(self.layers) == bool(self.mesh):
             raise invalid_value_error(
                 "a heat_body needs either mesh or layers",

@@ -126,8 +126,8 @@ def neglected_effects(
     )
     if support:
         yield Neglected(f"{name}: compliance of its mounting", support, NOT_ESTIMATED_TEXT)
-    yield from _glue_effect(name, envelope)
-    yield from _electrode_effect(name, envelope)
+    yield from _estimate_glue_effect(name, envelope)
+    yield from _estimate_electrode_effect(name, envelope)
     yield Neglected(
         f"{name}: hysteresis, depolarisation", "linear material law", NOT_ESTIMATED_TEXT
     )
@@ -156,9 +156,9 @@ def _describe_air(envelope: Envelope) -> str:
     return f"first resonance at most {100 * lower:.2g} % lower, {1e6 * envelope.air:.2g} mg of air"
 
 
-def _glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
+def _estimate_glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
     glue = material("epoxy")
-    layers = [b for b in envelope.layers if _youngs_modulus(b) > 2 * glue.C[0, 0]]
+    layers = [b for b in envelope.layers if _compute_youngs_modulus(b) > 2 * glue.C[0, 0]]
     joints = [(a, b) for a, b in pairwise(layers) if a.box[-1][1] == b.box[-1][0]]
     if not joints:
         return
@@ -177,17 +177,17 @@ def shear_transfer_length(below: Block, above: Block) -> float:
     glue (E. F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
     """
     shear = material("epoxy").C[3, 3]
-    softness = 1 / (_youngs_modulus(below) * below.thickness)
-    softness += 1 / (_youngs_modulus(above) * above.thickness)
+    softness = 1 / (_compute_youngs_modulus(below) * below.thickness)
+    softness += 1 / (_compute_youngs_modulus(above) * above.thickness)
     return math.sqrt(GLUE_THICKNESS / (shear * softness))
 
 
-def _youngs_modulus(block: Block) -> float:
+def _compute_youngs_modulus(block: Block) -> float:
     """Return Young's modulus [Pa] of a block in the plane of its layer."""
     return float(1 / np.linalg.inv(block.material.C)[0, 0])
 
 
-def _electrode_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
+def _estimate_electrode_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
     what, why = f"{name}: metal of electrodes, solder, wires", "equipotentials without mass"
     active = [block for block in envelope.layers if block.material.piezoelectric]
     if not active or envelope.mass is None:

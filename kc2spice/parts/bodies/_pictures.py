@@ -142,7 +142,7 @@ def draw_deformed(
 
     result = evaluate_at_nodes(device, z, voltages)
     stress = 1e-6 * compute_largest_principal_stress(result["stress"])
-    moved, factor = _enlarge(device, result["displacement"])
+    moved, factor = _scale_displacements(device, result["displacement"])
     at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel(
@@ -160,7 +160,7 @@ def draw_modes(
     still = np.zeros(device.drive.shape[1])
     for f, z in zip(hertz, columns.T, strict=True):
         result = evaluate_at_nodes(device, z, still)["displacement"]
-        moved, _ = _enlarge(device, result)
+        moved, _ = _scale_displacements(device, result)
         size = np.linalg.norm(result, axis=1)
         colours = map_surface(device.solid.mesh, moved, size / size.max(), "of the largest")
         at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
@@ -168,7 +168,7 @@ def draw_modes(
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
 
 
-def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
+def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the element corners [m] moved by scaled displacements, and the scale factor.
 
     The corners are an array of shape (elements, vertices, 3).
@@ -232,7 +232,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
     return Map(x, y, z, label)
 
 
-def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
+def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
     """Return the two vertices of each drawn edge of the surface, an array of shape (2, edges).
 
     If the surface has more than ``fine`` mesh lines, only the edges at which it bends are returned.
@@ -258,7 +258,7 @@ def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
 
 def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = MAX_MESH_LINES) -> Curve:
     """Return the mesh edges [mm] in oblique projection as a single curve with NaN between edges."""
-    points, edges = mesh.p[:, : mesh.nvertices], _visible_edges(mesh, fine)  # no midside nodes
+    points, edges = mesh.p[:, : mesh.nvertices], _find_visible_edges(mesh, fine)  # no midside nodes
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE_SHIFT * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)
     path[:, :2] = 1e3 * flat[:, edges]

@@ -168,7 +168,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             for port, levels in self.face_levels(part, scene).items():
                 name = f"{part.name}.{port}"
                 text = describe_piston_difference(name, facing[port], levels)
-                if text and not _states_motion(facing[port].names, scene):
+                if text and not _states_piston_motion(facing[port].names, scene):
                     warnings.warn(text, stacklevel=2)
         return result
 
@@ -242,7 +242,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return {**error, **result, **node}
 
 
-def _states_motion(names: Iterable[str], scene: Scene) -> bool:
+def _states_piston_motion(names: Iterable[str], scene: Scene) -> bool:
     """Return whether one of the parts at a face states that the face moves like a piston."""
     keys = (scene.parts[name].keys for name in names)
     return any(isinstance(item, FluidKeys) and item.motion is not None for item in keys)

@@ -138,7 +138,7 @@ class PortKeys(Section):
     )
 
     @model_validator(mode="after")
-    def _require_complete(self) -> PortKeys:
+    def _require_consistent_keys(self) -> PortKeys:
         places = (self.group is not None) + (self.at is not None)
         of_group = self.kind in ("rigid", "face")
         if places != (0 if self.kind == "base" else 1) or (of_group and self.at):
@@ -255,7 +255,7 @@ class AxesKeys(Section):
     )
 
     @model_validator(mode="after")
-    def _require_frame(self) -> AxesKeys:
+    def _require_valid_axes(self) -> AxesKeys:
         if not any(self.z):
             raise invalid_value_error(
                 "z has no length", None, hint="write for example  z = [0, 0, 1]"
@@ -412,7 +412,7 @@ class BodyKeys(MeshKeys):
             raise invalid_value_error(
                 "a body needs electrodes or ports",
                 "electrodes, each with a group of faces, or ports, each with a group or a point",
-                hint=f"add for example  {_write_terminals(self, info)}",
+                hint=f"add for example  {_write_terminal_example(self, info)}",
             )
         names = Counter([*names_of(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
@@ -425,7 +425,7 @@ class BodyKeys(MeshKeys):
         return self
 
 
-def _write_terminals(keys: BodyKeys, info: ValidationInfo) -> str:
+def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
     """Return example text for the keys ``electrodes`` or ``ports`` of a body, for an error hint.
 
     The example has electrodes on a piezoelectric group of the mesh. Without such a group, it has a
@@ -565,25 +565,27 @@ def _make_setup(
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
-        nodes = [_electrode_nodes(solid, groups, name, f"electrodes.{pin}") for name in names]
+        nodes = [_find_electrode_nodes(solid, groups, name, f"electrodes.{pin}") for name in names]
         electrodes[pin] = np.unique(np.concatenate(nodes))
     shapes, faces, base = [], [], []
     for port in keys.ports:
         if port.kind == "rigid":
-            faces.append(_rigid_face(port, groups, solid))
+            faces.append(_make_rigid_face(port, groups, solid))
         elif port.kind == "base":
             base.append((port.ports[0], port.direction))
         elif port.kind == "face":
             facets = boundary_facets(port, groups, solid)
             shapes.append(fe.make_pressure_load(port.ports[0], solid, facets))
         else:
-            force = fe.spread_force(_node_shares(port, groups, solid), port.direction, solid)
+            force = fe.spread_force(
+                _distribute_unit_force(port, groups, solid), port.direction, solid
+            )
             shapes.append(fe.PortLoad(port.ports[0], force))
     return fe.BoundaryConditions(
-        fixed=_clamped_components(keys, groups, solid),
+        fixed=_find_clamped_components(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference,
-        floating=[_electrode_nodes(solid, groups, name, "floating") for name in keys.floating],
+        floating=[_find_electrode_nodes(solid, groups, name, "floating") for name in keys.floating],
         shapes=shapes,
         faces=faces,
         base=base,
@@ -591,12 +593,12 @@ def _make_setup(
     )
 
 
-def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
+def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
     where = f"ports.{port.name}"
     if solid.axisymmetric:
         problem = "an axisymmetric body cannot have rigid faces"
         raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
-    nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
+    nodes = _find_facet_nodes(solid, groups.group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTION_NAMES, np.eye(6), strict=True))
     moves = map(unit.__getitem__, port.motions)
     return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
@@ -619,11 +621,11 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
     return facets
 
 
-def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
+def _find_facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
-def _electrode_nodes(
+def _find_electrode_nodes(
     solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
     """Return the nodes of an electrode; raise an error unless it is on a piezoelectric material."""
@@ -636,10 +638,12 @@ def _electrode_nodes(
         got = f"{name} on {', '.join(sorted(made_of))}"
         hint = 'give its group a piezoelectric material, such as "PZT-5A"'
         raise wrong(where, problem, got, "a face of a piezoelectric group", hint)
-    return _facet_nodes(solid, facets)
+    return _find_facet_nodes(solid, facets)
 
 
-def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+def _find_clamped_components(
+    keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
+) -> np.ndarray:
     d, nodes = solid.components, solid.places.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
@@ -650,7 +654,7 @@ def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: So
         if group.codimension == 0:
             members = solid.nodes(members)
         elif group.codimension == 1:
-            members = _facet_nodes(solid, members)
+            members = _find_facet_nodes(solid, members)
         for axis in set(support.axes) & set(letters):
             fixed[members, letters.index(axis)] = True
     if solid.axisymmetric:
@@ -659,7 +663,9 @@ def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: So
     return fixed.ravel()
 
 
-def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+def _distribute_unit_force(
+    port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
+) -> np.ndarray:
     """Return the fraction of a unit force on a port that acts on each node, an array (nodes,)."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
@@ -709,7 +715,7 @@ class Body(MeshedBody[BodyKeys]):
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
         """Return the paths of the mesh file and of the CSV files with poling vectors."""
-        _poling_paths(part, scene)
+        _find_poling_paths(part, scene)
         mesh_path(part, scene)
         return (part.keys.mesh, *part.keys.poling_files.values())
 
@@ -717,7 +723,7 @@ class Body(MeshedBody[BodyKeys]):
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         try:
-            _poling_paths(part, scene)
+            _find_poling_paths(part, scene)
         except UsageError as error:
             yield error
         yield from find_mesh_problems(part, scene)
@@ -761,7 +767,7 @@ class Body(MeshedBody[BodyKeys]):
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the cache key of the full model, with hashes of mesh and poling files."""
         result = {**super().full_key(part, scene), "file": hash_file(mesh_path(part, scene))}
-        for where, path in _poling_paths(part, scene).items():
+        for where, path in _find_poling_paths(part, scene).items():
             result[where] = hash_file(path)
         return result
 
@@ -786,7 +792,7 @@ class Body(MeshedBody[BodyKeys]):
         return device(part.keys, scene.home, part.name)
 
 
-def _poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
+def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
     """Return the paths of the CSV files with poling vectors, by their key in the scene."""
     result = {}
     for group, file in part.keys.poling_files.items():

@@ -88,7 +88,7 @@ class DiscLayer(Section):
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")
-    def _require_possible(self) -> DiscLayer:
+    def _require_fitting_parts(self) -> DiscLayer:
         largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
             raise invalid_value_error(
@@ -150,7 +150,7 @@ class DiscKeys(FieldKeys):
         return max(layer.diameter for layer in self.layers)
 
     @model_validator(mode="after")
-    def _require_possible(self) -> DiscKeys:
+    def _require_fitting_parts(self) -> DiscKeys:
         widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, Node) and self.support.node > widest:
             raise invalid_value_error(
@@ -176,7 +176,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
     """
     disc = validate(DiscKeys, keys, where)
     pieces = _make_blocks(disc, where)
-    conductors, series = _electrode_levels(disc, pieces, where), disc.wiring == "series"
+    conductors, series = _list_electrodes(disc, pieces, where), disc.wiring == "series"
     electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
     if series:
         electrodes = {"anode": conductors[-1], "cathode": conductors[0]}
@@ -232,7 +232,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
     return result
 
 
-def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
+def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
     """Return the faces of each electrode, lowest electrode first.
 
     A metal layer forms one electrode with all faces that it touches.
@@ -250,7 +250,7 @@ def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[l
         if not ceramic:
             continue
         if not metal:
-            result.append(_electrode_faces(disc, ceramic, height, i - 1, where))
+            result.append(_list_electrode_faces(disc, ceramic, height, i - 1, where))
             continue
         radius = min(pieces[ceramic[0]].box[0][1], pieces[metal[0]].box[0][1])
         if metal[0] != last_metal:
@@ -260,7 +260,7 @@ def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[l
     return result
 
 
-def _electrode_faces(
+def _list_electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
     """Return the faces of an electrode that touches no metal layer.

@@ -69,7 +69,7 @@ class Rings(PieceKeys):
     count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, which must be even")
 
     @model_validator(mode="after")
-    def _require_possible(self) -> Rings:
+    def _require_valid_rings(self) -> Rings:
         if self.count % 2:
             raise invalid_value_error(
                 "the number of rings is odd, so that the bolt connects the anode to the cathode",
@@ -109,7 +109,7 @@ class BoltKeys(PieceKeys):
     )
 
     @model_validator(mode="after")
-    def _require_possible_head(self) -> BoltKeys:
+    def _require_complete_head(self) -> BoltKeys:
         if (self.head_diameter is None) != (self.head_length is None):
             raise invalid_value_error(
                 "head_diameter and head_length must be used together",
@@ -138,7 +138,7 @@ class LangevinKeys(FieldKeys):
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
-    def _require_fit(self) -> LangevinKeys:
+    def _require_fitting_pieces(self) -> LangevinKeys:
         bolt, inner, masses = self.bolt, self.rings.inner, (*self.front, *self.back)
         depth, head = bolt.depth or self.front[0].length, bolt.head_diameter or math.inf
         wrong = {

@@ -102,7 +102,7 @@ class KickPulse(Section):
     )
 
     @model_validator(mode="after")
-    def _require_visible_edges(self) -> KickPulse:
+    def _require_edges_within_width(self) -> KickPulse:
         if self.edge > self.width:
             raise invalid_value_error(
                 "the pulse has an edge that is longer than its width",
@@ -150,7 +150,7 @@ class Stack(Chip, FieldKeys):
         return {"drive": {}, **data}
 
     @model_validator(mode="after")
-    def _require_possible(self) -> Stack:
+    def _require_compatible_keys(self) -> Stack:
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
             raise invalid_value_error(
                 (
@@ -271,7 +271,7 @@ class PiezoStack(MeshedBody[Stack]):
         modulus = self.indentation_modulus(part)
         if shape is None:
             names = ports or tuple(ring_names(len(radii)))
-            rings = list(map(partial(_ring_number, part), names))
+            rings = list(map(partial(_read_ring_number, part), names))
             distance = tuple(radii[rings].tolist())
             return ContactSurface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
         return ContactSurface(
@@ -297,14 +297,14 @@ class PiezoStack(MeshedBody[Stack]):
             return
         ratio = math.pi * DAMPING_FREQUENCY * part.keys.damping.beta
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
-        speed = _kick_speed(part, scene)
+        speed = _estimate_kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
             # Parts other than sources at the anode can slow down a kick. With an amplifier of 5 A,
             # the launch velocity is 0.67 m/s. At the tolerances for 1 m/s, its relative error is
             # 1.5e-3.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
-        if _retracts_first(part):
+        if _moves_down_first(part):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
@@ -315,7 +315,7 @@ class PiezoStack(MeshedBody[Stack]):
 
         After a downward kick, the chip rings until it hits the sphere.
         """
-        return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
+        return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
         """Yield the largest dynamic stroke of the chip, which limits a contact's indentation."""
@@ -456,7 +456,7 @@ class PiezoStack(MeshedBody[Stack]):
             yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
-def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
+def _estimate_kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
     """Return the speed [m/s] of the chip's top face in a kick; None without a voltage.
 
     The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
@@ -471,10 +471,10 @@ def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
     stroke = free_stroke(part.keys, voltage)
     edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
     speed = stroke / max(4 * part.keys.height / sound, edge)
-    return max(1e-3, SLOWER * speed if _retracts_first(part) else speed)
+    return max(1e-3, SLOWER * speed if _moves_down_first(part) else speed)
 
 
-def _retracts_first(part: Part[Stack]) -> bool:
+def _moves_down_first(part: Part[Stack]) -> bool:
     """Return whether the pulse has a negative voltage, which first moves the top face down."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
@@ -529,7 +529,7 @@ def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
         owner, dot, rest = probe.of.partition(".")
         if owner == part.name and dot:
             names.add(rest.partition(".")[0])
-    rings = [_ring_number(part, name) for name in names if name.startswith("ring")]
+    rings = [_read_ring_number(part, name) for name in names if name.startswith("ring")]
     return 1 + max(rings, default=-1)
 
 
@@ -538,7 +538,7 @@ def ring_names(count: int) -> list[str]:
     return list(map("ring{}".format, range(count)))
 
 
-def _ring_number(part: Part[Stack], name: str) -> int:
+def _read_ring_number(part: Part[Stack], name: str) -> int:
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong(

@@ -67,7 +67,7 @@ class Stretch(PatchedPart[StretchKeys]):
 
     def make_declaration(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        return _declare(len(patch_ports(part, scene)), part.keys.rows)
+        return _declare_stretching(len(patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
@@ -91,7 +91,7 @@ class Stretch(PatchedPart[StretchKeys]):
 
 
 @lru_cache(maxsize=32)
-def _declare(count: int, rows: int) -> Declaration:
+def _declare_stretching(count: int, rows: int) -> Declaration:
     """Return the declaration of the stretching energy for ``count`` patches in ``rows`` rows."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
@@ -161,4 +161,4 @@ kind = "force"
 dc = "1 uN"
 pins = { out = "middle.a" }
 """
-register(Stretch(_declare(3, 1)))
+register(Stretch(_declare_stretching(3, 1)))

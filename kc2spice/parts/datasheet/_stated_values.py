@@ -65,7 +65,7 @@ class StatedValues:
         ------
         UsageError : the values are too few, contradict each other, or match no circuit.
         """
-        self._require_computable()
+        self._require_plausible_values()
         self._require_enough_values()
         result = self._fitted_unknowns
         self._require_solution(result)
@@ -83,25 +83,27 @@ class StatedValues:
 
     # --- equations --------------------------------------------------------------------------------
 
-    def _logarithm(self, key: str, x: np.ndarray) -> float:
+    def _compute_logarithm(self, key: str, x: np.ndarray) -> float:
         """Return the logarithm of the value ``key`` for the logarithms ``x`` of the unknowns."""
         unknowns = np.exp(np.clip(x, -LARGEST_LOGARITHM, LARGEST_LOGARITHM))
         value = self.relations[key](unknowns)
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
-    def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
+    def _compute_gradient(self, key: str, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the logarithm of the value ``key``.
 
         They are the derivatives with respect to the logarithms of the unknowns, an array
         (unknowns,).
         """
         steps = DIFFERENCE_STEP * np.eye(x.size)
-        rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
+        rows = [
+            self._compute_logarithm(key, x + h) - self._compute_logarithm(key, x - h) for h in steps
+        ]
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
-    def _residual(self, key: str, x: np.ndarray) -> float:
+    def _compute_residual(self, key: str, x: np.ndarray) -> float:
         """Return the logarithm of the ratio of the value at ``x`` to the stated value."""
-        return self._logarithm(key, x) - math.log(self.stated[key])
+        return self._compute_logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
     def _fitted_unknowns(self) -> np.ndarray:
@@ -117,11 +119,11 @@ class StatedValues:
 
         def residuals(x: np.ndarray) -> np.ndarray:
             """Return the residuals of all stated values, divided by their tolerances."""
-            return weights * [self._residual(key, x) for key in self.stated]
+            return weights * [self._compute_residual(key, x) for key in self.stated]
 
         def slopes(x: np.ndarray) -> np.ndarray:
             """Return the derivatives of the weighted residuals with respect to ``x``."""
-            return weights[:, None] * [self._gradient(key, x) for key in self.stated]
+            return weights[:, None] * [self._compute_gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
         result = least_squares(residuals, start, slopes, method="lm", **close)
@@ -134,12 +136,12 @@ class StatedValues:
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
         """Return the number of unknowns that the stated values, and the values ``more``, fix."""
-        rows = [self._gradient(key, x) for key in (*self.stated, *more)]
+        rows = [self._compute_gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 
     # --- faults -----------------------------------------------------------------------------------
 
-    def _require_computable(self) -> None:
+    def _require_plausible_values(self) -> None:
         for key, value in self.stated.items():
             if not SMALLEST_VALUE < value < 1 / SMALLEST_VALUE:
                 unit = self.units[key.partition("[")[0]]
@@ -174,13 +176,15 @@ class StatedValues:
         """Raise an error if the values are just enough but match no circuit."""
         if len(self.stated) > x.size:
             return
-        misses = {key: abs(self._residual(key, x)) for key in self.stated}
+        misses = {key: abs(self._compute_residual(key, x)) for key in self.stated}
         if max(misses.values()) > SOLUTION_TOLERANCE:
             self._raise_contradiction(x, misses)
 
     def _raise_contradiction(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
         first, second = sorted(misses, key=lambda key: -misses[key] / self.tolerance_of(key))[:2]
-        nearest = (self.text(key, math.exp(self._logarithm(key, x))) for key in (first, second))
+        nearest = (
+            self.text(key, math.exp(self._compute_logarithm(key, x))) for key in (first, second)
+        )
         stated = (self.text(key, self.stated[key]) for key in (first, second))
         raise UsageError(
             "no circuit has these values",
@@ -201,26 +205,26 @@ class StatedValues:
         for key in self.stated if len(self.stated) > x.size else ():
             others = self._drop_value(key)
             if others._count_determined_unknowns(x) == x.size:
-                redundant[key] = others._sensitivities(key, x)
+                redundant[key] = others._compute_sensitivities(key, x)
         if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
         key = max(redundant, key=self._compute_correction)
         shares = redundant[key]
         other = max(shares, key=lambda name: abs(shares[name]) * self.tolerance_of(name))
-        raise self._contradiction(key, other)
+        raise self._make_contradiction_error(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
         """Return whether the value ``key`` contradicts the value that all other values imply."""
-        implied = sum(share * self._residual(name, x) for name, share in shares.items())
+        implied = sum(share * self._compute_residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
-        return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
+        return abs(implied - self._compute_residual(key, x)) > allowed + self.tolerance_of(key)
 
     def _compute_correction(self, key: str) -> float:
         """Return how far the value ``key`` is from the value that all other values imply.
 
         The distance is the magnitude of the logarithm of their ratio.
         """
-        return abs(self._residual(key, self._drop_value(key)._fitted_unknowns))
+        return abs(self._compute_residual(key, self._drop_value(key)._fitted_unknowns))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
@@ -233,10 +237,14 @@ class StatedValues:
             other = self._fit_unknowns(start)
             if np.abs(other - x).max() < DISTINCT_DIFFERENCE:
                 continue
-            if all(abs(self._residual(key, other)) < SOLUTION_TOLERANCE for key in self.stated):
+            if all(
+                abs(self._compute_residual(key, other)) < SOLUTION_TOLERANCE for key in self.stated
+            ):
                 implied = [key for key in self.relations if key not in self.stated]
-                key = max(implied, key=lambda key: abs(self._difference(key, x, other)))
-                values = [self.text(key, math.exp(self._logarithm(key, y))) for y in (x, other)]
+                key = max(implied, key=lambda key: abs(self._compare_circuits(key, x, other)))
+                values = [
+                    self.text(key, math.exp(self._compute_logarithm(key, y))) for y in (x, other)
+                ]
                 raise UsageError(
                     "these values fit more than one circuit",
                     where=self.part,
@@ -245,26 +253,28 @@ class StatedValues:
                     hint=f"add {key}",
                 )
 
-    def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
+    def _compare_circuits(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
         """Return the logarithm of the ratio of the value ``key`` in two circuits."""
-        return self._logarithm(key, x) - self._logarithm(key, y)
+        return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
-    def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
+    def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
         """Return the derivatives of the implied value of ``key`` with respect to other values."""
         weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
-        slopes = np.array([self._gradient(name, x) for name in self.stated])
+        slopes = np.array([self._compute_gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
-        return dict(zip(self.stated, self._gradient(key, x) @ solution, strict=True))
+        return dict(zip(self.stated, self._compute_gradient(key, x) @ solution, strict=True))
 
-    def _contradiction(self, key: str, other: str) -> UsageError:
+    def _make_contradiction_error(self, key: str, other: str) -> UsageError:
         """Return the error for the two contradicting values ``key`` and ``other``."""
         implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
-            name: self.text(name, math.exp(rest._logarithm(name, rest._fitted_unknowns)))
+            name: self.text(name, math.exp(rest._compute_logarithm(name, rest._fitted_unknowns)))
             for name, rest in implied.items()
         }
         changes = {
-            name: abs(rest._logarithm(name, rest._fitted_unknowns) - math.log(self.stated[name]))
+            name: abs(
+                rest._compute_logarithm(name, rest._fitted_unknowns) - math.log(self.stated[name])
+            )
             for name, rest in implied.items()
         }
         redundant = min(changes, key=changes.__getitem__)

@@ -175,15 +175,15 @@ stop = "10 kHz"
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
         """Return the circuit elements of the resonator from its data sheet."""
-        keys, modes = part.keys, self._mode_count(part)
+        keys, modes = part.keys, self._count_modes(part)
         stated: dict[str, float] = {}
         for name in MODE_VALUES:
-            labels = _mode_labels(name, modes)
+            labels = _list_mode_labels(name, modes)
             stated |= dict(zip(labels, getattr(keys, name), strict=False))
         stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
         self._check_tolerances(part)
-        start = _initial_unknowns(keys, modes)
-        for problem in _impossible_pairs(part, start):
+        start = _choose_initial_unknowns(keys, modes)
+        for problem in _find_impossible_pairs(part, start):
             raise problem
         tolerance = {label: keys.tolerance.get(label.partition("[")[0]) for label in stated}
         values = StatedValues(
@@ -197,7 +197,7 @@ stop = "10 kHz"
         )
         return Resonator.from_unknowns(values.solve())
 
-    def _mode_count(self, part: Part[BvdKeys]) -> int:
+    def _count_modes(self, part: Part[BvdKeys]) -> int:
         """Return the number of modes; raise a UsageError if lists have different lengths."""
         counts = {name: len(v) for name in MODE_VALUES if (v := getattr(part.keys, name))}
         most = max(counts.values(), default=1)
@@ -236,9 +236,9 @@ stop = "10 kHz"
         level = "c0" if keys.c_low is None else "c_low"
         total, fixed = ["1"], []
         for n, end in enumerate(ends):
-            ratio, loss = _ratio_key(keys, modes), _loss_key(keys, modes)
+            ratio, loss = _choose_ratio_key(keys, modes), _choose_loss_key(keys, modes)
             for key in ("fs", ratio, loss):
-                params.append(_mode_parameter(keys, circuit, key, n, end))
+                params.append(_make_mode_parameter(keys, circuit, key, n, end))
             slow = f"/(1-{keys.c_low_at**2!r}/(fs{end}*fs{end}))"
             if ratio == "cm":
                 fixed.append(f"-cm{end}{slow}")
@@ -247,15 +247,15 @@ stop = "10 kHz"
             constants[f"ratio{end}"] = f"{square}/(1-{square})"
             total.append(f"ratio{end}{slow}")
         value = round_to_digits(circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at))
-        params.append(positive_parameter(level, value, "F", _key_words(keys, level, value)))
+        params.append(positive_parameter(level, value, "F", _describe_key(keys, level, value)))
         if level == "c_low":
             constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
         for end in ends:
-            constants |= _element_equations(end, ratio, loss)
+            constants |= _write_element_equations(end, ratio, loss)
         return ResonatorNetlist(tuple(params), constants, tuple(ends))
 
 
-def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
+def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
     """Yield an error for each pair of stated values that no circuit can have."""
     keys = part.keys
     for fs, fp in zip(keys.fs, keys.fp, strict=False):
@@ -287,7 +287,7 @@ def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageE
             )
 
 
-def _mode_labels(name: str, modes: int) -> list[str]:
+def _list_mode_labels(name: str, modes: int) -> list[str]:
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
 
@@ -296,13 +296,13 @@ def _list_relations(modes: int, low: float) -> dict[str, Relation]:
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():
         functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
-        result |= dict(zip(_mode_labels(name, modes), functions, strict=True))
+        result |= dict(zip(_list_mode_labels(name, modes), functions, strict=True))
     result["c0"] = lambda unknowns: float(unknowns[0])
     result["c_low"] = lambda unknowns: Resonator.from_unknowns(unknowns).capacitance(low)
     return result
 
 
-def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
+def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
     """Return the start values of the unknowns: stated values, or values of a typical ceramic."""
     ratio = np.full(modes, START_RATIO)
     if keys.keff:
@@ -325,26 +325,26 @@ def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
     return np.concatenate([[c0], fs, cm, rm])
 
 
-def _ratio_key(keys: BvdKeys, modes: int) -> str:
+def _choose_ratio_key(keys: BvdKeys, modes: int) -> str:
     """Return the key of the netlist parameter that determines the motional capacitances."""
     if keys.cm:
         return "cm"
     return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
 
 
-def _loss_key(keys: BvdKeys, modes: int) -> str:
+def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
     """Return the key of the netlist parameter that determines the motional resistances."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"
 
 
-def _key_words(keys: BvdKeys, key: str, value: float) -> str:
+def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
     words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else VALUE_NAMES[key]
     return words + tolerance_note(value, keys.tolerance.get(key))
 
 
-def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
+def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
     """Return the netlist parameter ``key`` of a mode.
 
     The coupling coefficient is the coefficient of this mode alone, because ``c0`` is also a
@@ -354,10 +354,10 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
     unit, value = VALUE_UNITS_OF_SHEET[key] or "-", round_to_digits(value)
-    return positive_parameter(f"{key}{end}", value, unit, _key_words(keys, key, value))
+    return positive_parameter(f"{key}{end}", value, unit, _describe_key(keys, key, value))
 
 
-def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
+def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
     """Return the equations of a mode's circuit elements that are not netlist parameters."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}

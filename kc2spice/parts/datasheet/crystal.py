@@ -113,7 +113,7 @@ scale = "linear"
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
         words = "frequency with the load cl" if loaded else "series resonance"
-        f = round_to_digits(_loaded_frequency(circuit, keys.cl))
+        f = round_to_digits(_compute_loaded_frequency(circuit, keys.cl))
         params = [
             positive_parameter("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
             positive_parameter("c0", round_to_digits(circuit.c0), "F", "shunt capacitance"),
@@ -145,7 +145,7 @@ scale = "linear"
         return ResonatorNetlist(tuple(params), equations, ("",))
 
 
-def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
+def _compute_loaded_frequency(circuit: Resonator, load: float | None) -> float:
     """Return the resonance frequency [Hz] of the crystal with a load capacitance [F] in series."""
     shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
     return circuit.fs[0] * math.sqrt(1 + shift)
@@ -154,7 +154,7 @@ def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
 def _list_relations(load: float | None) -> dict[str, Relation]:
     """Return all values that a data sheet can state, each as a function of the unknowns."""
     values: dict[str, Callable[[Resonator], float]] = {
-        "f": lambda circuit: _loaded_frequency(circuit, load),
+        "f": lambda circuit: _compute_loaded_frequency(circuit, load),
         "c0": lambda circuit: circuit.c0,
         "c1": lambda circuit: circuit.cm[0],
         "l1": lambda circuit: circuit.lm[0],

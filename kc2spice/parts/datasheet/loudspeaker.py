@@ -71,7 +71,7 @@ RADIATION = "radiation"  # part type that models the mass of the air at the cone
 INDUCTANCE_TIME = 1e-6
 
 
-def _joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+def _list_joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Return the acoustic pins that the scene connects."""
     return tuple(
         side for side in (FRONT, REAR) if side in part.pins or scene.is_target(part.name, side)
@@ -108,7 +108,7 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
     return SemiInductance(*values)
 
 
-def _require_area(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
+def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
     """Raise an error if a driver with acoustic pins has no area or too small a moving mass.
 
     The moving mass is too small if it is less than the mass of the air that it includes.
@@ -208,7 +208,9 @@ stop = "1 kHz"
             )
         return driver
 
-    def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
+    def _find_parameters(
+        self, part: Part[LoudspeakerKeys], scene: GovernedScene
+    ) -> SpeakerParameters:
         """Return the parameters of the part, from the record of the scene if it has them."""
         record = scene.record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
@@ -217,7 +219,7 @@ stop = "1 kHz"
 
     def make_declaration(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        driver, tolerance = self._parameters(part, scene), part.keys.tolerance
+        driver, tolerance = self._find_parameters(part, scene), part.keys.tolerance
         params = []
         for key, (unit, words) in DRIVER_PARAMETERS.items():
             value = round_to_digits(getattr(driver, key))
@@ -225,9 +227,9 @@ stop = "1 kHz"
             params.append(positive_parameter(key, value, unit, note))
         if driver.semi is None:
             params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))
-        sides = _joined_sides(part, scene)
+        sides = _list_joined_sides(part, scene)
         if sides:
-            _require_area(part, driver)
+            _require_area_and_mass(part, driver)
         return declare_motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -240,10 +242,10 @@ stop = "1 kHz"
 
         It excludes the mass of the air that connected parts of type ``radiation`` contain.
         """
-        driver = self._parameters(part, scene)
+        driver = self._find_parameters(part, scene)
         sides = [
             side
-            for side in _joined_sides(part, scene)
+            for side in _list_joined_sides(part, scene)
             if RADIATION in scene.joined_types(part.name, side)
         ]
         air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
@@ -346,12 +348,12 @@ stop = "1 kHz"
 
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        driver = self._parameters(part, scene)
+        driver = self._find_parameters(part, scene)
         qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         peak = driver.re * (1 + driver.qms / driver.qes)
         yield f"fs {driver.fs:.4g} Hz, Qts {qts:.4g}, impedance at fs {peak:.4g} Ohm"
         yield Neglected("large strokes", "Bl and compliance are constant", "see part voice_coil")
-        sides = _joined_sides(part, scene)
+        sides = _list_joined_sides(part, scene)
         if not sides:
             yield Neglected(
                 "radiation", "mms includes the mass of the air", "resistance not estimated"

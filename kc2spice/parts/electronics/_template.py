@@ -309,7 +309,7 @@ class CoilDriver(Driver[KeysT]):
 
         Their inductance is the inductance with the sphere at its set point.
         """
-        coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
+        coils = _find_joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
                 "this driver is not connected to coils, whose inductance its current loop needs",
@@ -317,7 +317,7 @@ class CoilDriver(Driver[KeysT]):
                 expected="a connection to a part of type ring_magnet_coils",
                 hint="for another load, put the circuit of the driver into a netlist part",
             )
-        control, height, current = _joined_part(part, "command", build.scene, "pid"), 0.0, 1.0
+        control, height, current = _find_joined_part(part, "command", build.scene, "pid"), 0.0, 1.0
         if control is not None:
             keys = control.with_schema(Control).keys
             height, current = keys.setpoint, keys.current_limit
@@ -327,7 +327,7 @@ class CoilDriver(Driver[KeysT]):
         return CoilLoad(inductance, float(table.resistance.sum()), float(current))
 
 
-def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
+def _find_joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
     """Return the part of type ``kind`` that is connected to ``pin``; None if there is none."""
     joined = (scene.parts[name] for name, _ in scene.joined_pins(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)

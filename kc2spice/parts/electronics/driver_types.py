@@ -302,10 +302,10 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
     def highest_frequency(self, part: Part[PwmKeys], scene: DeclaredScene) -> HighestFrequency:
         """Return a function for the highest relevant frequency [Hz] of the current ripple."""
-        return partial(_ripple_frequency, float(part.keys.frequency))
+        return partial(_compute_ripple_frequency, float(part.keys.frequency))
 
 
-def _ripple_frequency(carrier: float, constant: float) -> float:
+def _compute_ripple_frequency(carrier: float, constant: float) -> float:
     """Return the frequency [Hz] of the highest relevant harmonic of a current ripple."""
     return RIPPLE_HARMONICS * carrier
 

@@ -152,10 +152,10 @@ class Netlist(PartType[NetlistKeys]):
                     error.hint = f'write  {name} = "{meant}"'
                 yield part.wrong(where, error.message, error.got, error.expected, error.hint)
         scope = None
-        for name, node in _probe_names(part, scene):
+        for name, node in _list_probed_nodes(part, scene):
             scope = scope or _read_subcircuit(part, scene)
-            if node in pins or has_vector(scope, _inner_vector(node)):
-                if scene.analysis.is_small_signal and "@" in _inner_vector(node):
+            if node in pins or has_vector(scope, _write_inner_vector(node)):
+                if scene.analysis.is_small_signal and "@" in _write_inner_vector(node):
                     yield UsageError(
                         "this element has no small-signal current",
                         where=f"probes.{name}.of",
@@ -188,7 +188,7 @@ class Netlist(PartType[NetlistKeys]):
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source with a small-signal (``ac``) amplitude."""
         return _read_subcircuits(
-            part.keys.file, scene.home, _modification_time(part, scene)
+            part.keys.file, scene.home, _read_modification_time(part, scene)
         ).excites
 
     def subcircuit_name(self, part: Part[NetlistKeys], scene: Scene) -> str:
@@ -220,7 +220,7 @@ class Netlist(PartType[NetlistKeys]):
         """
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
-        probed = dict.fromkeys(node for _, node in _probe_names(part, scene))
+        probed = dict.fromkeys(node for _, node in _list_probed_nodes(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
         result = pin_voltages(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
@@ -231,7 +231,7 @@ class Netlist(PartType[NetlistKeys]):
             if node in pins:
                 result[name] = build.across(part, node)
             elif node.lower().startswith("i("):
-                result[name] = Vector(_inner_vector(node, part.name), 1.0, "A")
+                result[name] = Vector(_write_inner_vector(node, part.name), 1.0, "A")
             else:
                 inner = f"v(x{part.name.lower()}.{node.lower()})"
                 result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
@@ -315,7 +315,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     """
     file = part.keys.file
     try:
-        known = _read_subcircuits(file, scene.home, _modification_time(part, scene)).pins
+        known = _read_subcircuits(file, scene.home, _read_modification_time(part, scene)).pins
     except UsageError as error:
         if error.where in (
             Path(file).name,
@@ -348,7 +348,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     return pins
 
 
-def _probe_names(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
+def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
     """Yield the name of each probe of this part, and the pin, node or ``i(ELEMENT)`` it reads.
 
     Probes of the current or power at a pin are left out.
@@ -359,7 +359,7 @@ def _probe_names(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tupl
             yield name, node
 
 
-def _inner_vector(node: str, part: str = "") -> str:
+def _write_inner_vector(node: str, part: str = "") -> str:
     """Return the ngspice vector of a node or an element current inside a subcircuit.
 
     ``node`` is the name of the node, ``i(ELEMENT)`` or ``i(x1.ELEMENT)``. With ``part``, the vector
@@ -385,7 +385,7 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     return result
 
 
-def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
+def _read_modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
     """Return the modification time [ns] of the part's netlist file; 0 without the file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0

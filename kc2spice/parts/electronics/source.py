@@ -286,7 +286,7 @@ class Source(PartType[SourceKeys]):
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
         """Return a function for the highest relevant frequency [Hz] of the waveform."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
-        return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
+        return partial(_find_filtered_frequency, part.keys.waveform, scene.stop, share)
 
     def equilibrium_conditions(
         self, part: Part[SourceKeys], scene: WiredScene
@@ -313,7 +313,7 @@ class Source(PartType[SourceKeys]):
         if kind.letter == "I":  # the current flows out of the source at "out" and back at "ret"
             ends.reverse()
         if _sweeps_back(part, build.scene):
-            swept = _sweep_cards(part, build, kind, ends)
+            swept = _write_sweep_cards(part, build, kind, ends)
             return tuple(card.with_unit(kind.value_unit) for card in swept)
         wave = part.keys.waveform.format_spice(kind.scale)
         size = kind.scale * part.keys.amplitude
@@ -384,7 +384,7 @@ class Source(PartType[SourceKeys]):
         yield f"{part.keys.kind}, {part.keys.shape}"
 
 
-def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
+def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
     """Return the highest relevant frequency [Hz] of a waveform after a low-pass filter.
 
     The time constant of the filter is ``constant`` [s] times ``share``.
@@ -399,7 +399,7 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
     return moved and bool(selected.back)
 
 
-def _sweep_cards(
+def _write_sweep_cards(
     part: Part[SourceKeys], build: Build, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
     """Yield the cards of a source with a dc sweep that returns from ``to`` to its first value.

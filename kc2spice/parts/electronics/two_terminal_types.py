@@ -169,7 +169,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
-    def _find_unit_factor(self) -> Number:
+    def _unit_factor(self) -> Number:
         """Factor that converts an admittance in SI units to amperes per volt at the pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
@@ -201,7 +201,7 @@ class LinearElement(DeclaredPart[KeysT]):
         if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
-        admittance = multiply_trees(self._find_unit_factor, self.admittance_law[1])
+        admittance = multiply_trees(self._unit_factor, self.admittance_law[1])
         if self._letter != "C":
             value = self._evaluate(part, divide_trees(ONE, admittance))
             separate = build.has_noise and not self._has_si_units
@@ -212,7 +212,7 @@ class LinearElement(DeclaredPart[KeysT]):
             return (card.with_unit(self.branch.domain.value_unit(self._letter)), *noise)
         inner = build.inner_name(part, part.name.lower(), "metered")
         return (
-            Element.of(_meter_name(part, build), a, inner, "0"),
+            Element.of(_name_meter(part, build), a, inner, "0"),
             Element.of(f"C{part.name}", inner, b, self._evaluate(part, admittance)).with_unit(
                 self.branch.domain.value_unit("C")
             ),
@@ -228,7 +228,7 @@ class LinearElement(DeclaredPart[KeysT]):
         therefore also zero.
         """
         value = LEAK_RATE * self._evaluate(
-            part, multiply_trees(self._find_unit_factor, self.admittance_law[1])
+            part, multiply_trees(self._unit_factor, self.admittance_law[1])
         )
         return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
@@ -240,7 +240,7 @@ class LinearElement(DeclaredPart[KeysT]):
     @cached_property
     def _has_si_units(self) -> bool:
         """Whether the pins have SI units; a resistor card then has the noise of the loss."""
-        return self._find_unit_factor == ONE
+        return self._unit_factor == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Return the cards of the thermal noise of a loss, such as the force noise of a damper.
@@ -267,7 +267,7 @@ class LinearElement(DeclaredPart[KeysT]):
             factor = self._evaluate(part, admittance)
             through = Vector(across, factor, flow.unit, ("b",), ("a",))
         else:
-            instance = _meter_name(part, build) if self._letter == "C" else f"l{n}"
+            instance = _name_meter(part, build) if self._letter == "C" else f"l{n}"
             through = Vector(f"i({instance.lower()})", flow.factor, flow.unit, ("b",), ("a",))
         if b.moves:
             return {f"{n}.{b.through}": through}
@@ -284,7 +284,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield f"{row.name.replace('_', ' ')} of {value}"
 
 
-def _meter_name(part: Part, build: Build) -> str:
+def _name_meter(part: Part, build: Build) -> str:
     return build.inner_name(part, f"V{part.name}", "meter")
 
 

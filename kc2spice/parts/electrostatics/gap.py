@@ -210,7 +210,7 @@ class Gap(PatchedPart[GapKeys]):
     ) -> Declaration:
         """Return the declaration of a gap with the given number of film branches."""
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
-        return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
+        return _declare_gap(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
@@ -338,7 +338,7 @@ def truncation_error(film: SqueezeFilmKeys, gap: float, branches: int, frequency
     """
     if not frequency:
         return 0.0
-    c, k, _ = _series_terms(film)
+    c, k, _ = _compute_series_terms(film)
     drag = 2j * np.pi * frequency * c / gap**3
     terms = drag / (1 + drag * gap / k)
     total, off = terms.sum(), (drag - terms)[branches:].sum()
@@ -379,7 +379,7 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
 
 
 @lru_cache(maxsize=32)
-def _declare(text: str, count: int, film_branches: int, top: float) -> Declaration:
+def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Declaration:
     """Return the declaration of a gap with ``count`` patches and ``film_branches`` film branches.
 
     ``text`` contains the keys of the gap as a JSON string. The branches resolve frequencies up to
@@ -472,7 +472,7 @@ def _list_neglected_effects(
     yield _stop.STOP_NEGLECTED
 
 
-def _series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the dampers, the springs and the indices m of all terms of the film series.
 
     Each is an array of shape (n,), largest damper first. The dampers are multiplied by gap^3, and
@@ -495,7 +495,7 @@ def _split_series(
     A term contains the damper times gap^3, the spring times gap, and the share of each patch in the
     motion of the term.
     """
-    dampers, springs, orders = _series_terms(film)
+    dampers, springs, orders = _compute_series_terms(film)
     edges = np.linspace(0, 1, count + 1)
     result = []
     for k in range(branches):
@@ -528,4 +528,4 @@ part = "source"
 dc = "3 V"
 """
 _EXAMPLE_KEYS = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
-register(Gap(_declare(_EXAMPLE_KEYS.model_dump_json(), 1, 0, 0.0)))
+register(Gap(_declare_gap(_EXAMPLE_KEYS.model_dump_json(), 1, 0, 0.0)))

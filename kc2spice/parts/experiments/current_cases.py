@@ -123,7 +123,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         result = {f"{_find_sphere(part, build.scene)}.y": build.across(part, "y")}
-        for k, name in enumerate(_force_names(part, build)):
+        for k, name in enumerate(_list_force_names(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
 
@@ -131,7 +131,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        forces = _recorded_forces(part, build, waves)
+        forces = _read_recorded_forces(part, build, waves)
         return {
             "force_max_n": Metric(float(np.abs(forces).max()), "N"),
             "position_m": Metric(waves[f"{_find_sphere(part, build.scene)}.y"].tolist(), "m"),
@@ -148,7 +148,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
-        for k, force in enumerate(_force_names(part, build)):
+        for k, force in enumerate(_list_force_names(part, build)):
             case = f"{fed.name} {k}"  # unique, because part names contain no spaces
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
@@ -166,7 +166,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         The check limits the largest jump of the slope between two segments of the table. The
         heights of the sweep are closer than the segments, so each jump has its full size.
         """
-        forces = _recorded_forces(part, build, waves)
+        forces = _read_recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
         limit = build.scene.gates.lookup_slope
@@ -188,15 +188,17 @@ def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
     return [*product(part.keys.currents, part.keys.currents)]
 
 
-def _force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
+def _list_force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
     """Return the result names of the forces, one for each pair of currents."""
     name = _find_coils(part, build.scene).name
     return [f"{name}.force.{k}" for k in range(len(current_pairs(part)))]
 
 
-def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveforms) -> np.ndarray:
+def _read_recorded_forces(
+    part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+) -> np.ndarray:
     """Return the recorded forces [N], an array of shape (current pairs, heights)."""
-    return np.array([*map(waves.__getitem__, _force_names(part, build))])
+    return np.array([*map(waves.__getitem__, _list_force_names(part, build))])
 
 
 def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:

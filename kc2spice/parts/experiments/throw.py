@@ -75,14 +75,14 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield a tighter ``chgtol`` for slow impacts, proportional to the impact speed."""
-        speed = max(1e-3, _impact_speed(part, scene))
+        speed = max(1e-3, _compute_impact_speed(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_touching.LargestIndentation]:
         """Yield the largest indentation of the contact at the impact speed."""
-        ball, speed = find_sphere(part, scene), _impact_speed(part, scene)
+        ball, speed = find_sphere(part, scene), _compute_impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _touching.impact_penetration(ball, mass, scene, speed, why)
 
@@ -135,7 +135,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         yield f"{keys.velocity:g} m/s from {format_quantity(keys.gap, 'm')}"
 
 
-def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
+def _compute_impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
     """Return the speed [m/s] of the sphere at the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 

@@ -182,14 +182,14 @@ def _eddy_names(count: int) -> list[str]:
     return list(map("eddy{}".format, range(1, count + 1)))
 
 
-def _branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
+def _list_branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
     """Return the branches of the coils, of the motion, and of the current loops."""
     coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
 
 
 @cache
-def _declare(
+def _declare_body(
     kind: MovingBody,
     branches: tuple[Branch, ...],
     low: str = "",
@@ -237,15 +237,15 @@ def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declara
         heat.append(f"0.5*{rate:.11g}/conductivity*{eddy}^2")
     for coil, winding in zip(coils, keys.coils.values(), strict=True):
         heat.append(f"0.5*{winding.resistance:.11g}*{coil}^2")
-    return _declare(
+    return _declare_body(
         part.type,
-        _branches(keys, len(eddies)),
+        _list_branches(keys, len(eddies)),
         coenergy=" + ".join(energy),
         content=" + ".join(heat) or "0",
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
         reach=f", currents up to {model.frequency:g} Hz" if eddies else "",
-        mesh=_ring_error(model) or f"none: {CIRCLE_METHOD}",
+        mesh=_describe_ring_error(model) or f"none: {CIRCLE_METHOD}",
     )
 
 
@@ -265,7 +265,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        return _declare(self, _branches(part.keys, 0))
+        return _declare_body(self, _list_branches(part.keys, 0))
 
     def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
         """Return the declaration with the current loops of the built model."""
@@ -312,7 +312,7 @@ class MovingBody(DeclaredPart[MovingT]):
         for name, winding in zip(keys.coils, windings(keys), strict=True):
             obstacles.append((f"coils.{name}", "winding", winding))
         for name, magnet in keys.magnets.items():
-            obstacles.append((f"magnets.{name}", "magnet", _cross_section(magnet)))
+            obstacles.append((f"magnets.{name}", "magnet", _make_cross_section(magnet)))
         for where, what, w in obstacles:
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
             over = w.y + w.height / 2 + _body_height(keys) / 2
@@ -351,7 +351,7 @@ class MovingBody(DeclaredPart[MovingT]):
         rings = (REFINEMENT_RATIO if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
             frequency = REFINEMENT_RATIO * max(
-                frequency, highest_frequency(scene, _shortest_lag(part, scene))
+                frequency, highest_frequency(scene, _find_shortest_time_constant(part, scene))
             )
 
         def build() -> LoopModel:
@@ -400,7 +400,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Check(
                 finer, result.ring_error, MAX_RING_ERROR, unit, more, "warn", discretisation=True
             )
-            highest = _highest_run_frequency(part, build, waves)
+            highest = _find_highest_run_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
             advice = f"raise {part.name}.frequency to it"
             limit = MAX_FREQUENCY_RATIO * result.frequency
@@ -426,7 +426,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
         """Return the error estimate of the division into rings in words."""
-        return _ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
+        return _describe_ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
     def field(
@@ -485,7 +485,9 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Return the frequency [Hz] up to which eddy currents are resolved."""
         return float(
             part.keys.frequency
-            or max(MIN_FREQUENCY, highest_frequency(scene, _shortest_lag(part, scene)))
+            or max(
+                MIN_FREQUENCY, highest_frequency(scene, _find_shortest_time_constant(part, scene))
+            )
         )
 
     def field(
@@ -524,7 +526,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             f"force up to {highest}, exact in currents, power series of the height"
         )
         yield from self.list_neglected_effects(part, scene)
-        depth = 1e3 * _skin_depth(keys, frequency)
+        depth = 1e3 * _compute_skin_depth(keys, frequency)
         yield Neglected(
             f"eddy currents above {frequency:.4g} Hz",
             f"loops up to there, where the skin depth is {depth:.2g} mm",
@@ -534,7 +536,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
 
 
-def _ring_error(model: LoopModel) -> str:
+def _describe_ring_error(model: LoopModel) -> str:
     """Return the error estimate of the rings in words; an empty string without rings."""
     errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
@@ -560,7 +562,7 @@ def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]
     return result
 
 
-def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
+def _compute_skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
     """Return the skin depth ``1 / sqrt(pi f MU_0 conductivity)`` [m] at ``frequency`` [Hz]."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
@@ -573,21 +575,21 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
         return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
-    return divide_section(*box, inside if ball else None, _skin_depth(keys, frequency))
+    return divide_section(*box, inside if ball else None, _compute_skin_depth(keys, frequency))
 
 
-def _shortest_lag(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
+def _find_shortest_time_constant(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
     """Return the shortest time constant [s] of the coils, including their series resistors."""
     result = []
     for name, coil, winding in zip(
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
     ):
-        ohms = coil.resistance + _series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
+        ohms = coil.resistance + _sum_series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
         result.append(SCREENED_RATIO * winding.couple_winding(winding) / ohms)
     return min(result, default=0.0)
 
 
-def _series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
+def _sum_series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
     """Return the sum [Ohm] of the resistors that are connected in series at a coil's ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
@@ -597,7 +599,9 @@ def _series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[
     return result
 
 
-def _highest_run_frequency(part: Part[MovingBodyKeys], build: Build, waves: Waveforms) -> float:
+def _find_highest_run_frequency(
+    part: Part[MovingBodyKeys], build: Build, waves: Waveforms
+) -> float:
     """Return the highest frequency [Hz] of a run.
 
     It is the last frequency of a response, or the highest frequency of the coil currents in a
@@ -627,7 +631,7 @@ def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
     return result
 
 
-def _cross_section(ring: Ring) -> Winding:
+def _make_cross_section(ring: Ring) -> Winding:
     """Return the cross-section of a magnet, as a winding without turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)

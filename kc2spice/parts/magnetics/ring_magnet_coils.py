@@ -137,7 +137,7 @@ def rated_heating(keys: Coils) -> float:
     return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
 
 
-def _force_contributions(values: np.ndarray, current: float) -> np.ndarray:
+def _compute_force_contributions(values: np.ndarray, current: float) -> np.ndarray:
     """Return the contribution of each of :data:`SERIES_COEFFICIENTS` to the force [N].
 
     The returned array has the shape (3, heights), for the series ``current`` [A] in both coils.
@@ -278,7 +278,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-                hint = f"move {other_name}.y by at least {_overlap(body, other):g} m"
+                hint = f"move {other_name}.y by at least {_compute_overlap(body, other):g} m"
                 yield part.wrong(other_name, f"this body overlaps {name}.{body_name}", hint=hint)
         resting = scene.analysis.type == "transient" and bool(scene.list_parts("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
@@ -473,8 +473,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
         current = largest_current(part, build.scene) or DEFAULT_CURRENT
-        pull = _force_contributions(fine.coefficients, current)
-        change = _force_contributions(table.coefficients[::step], current) - pull
+        pull = _compute_force_contributions(fine.coefficients, current)
+        change = _compute_force_contributions(table.coefficients[::step], current) - pull
         changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
         yield Check(f"mesh of {part.name} half as wide, force", float(changed), MAX_SPLINE_ERROR)
         changed = np.abs(table.inductance[::step] - fine.inductance).max()
@@ -490,7 +490,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
-        currents = _coil_currents(part, waves)
+        currents = _list_coil_currents(part, waves)
         if is_heated(part, build.scene):
             table, prefix = build.model(part, EMTable), result_prefix(part)
             resistance = dict(zip(COIL_NAMES, table.resistance.tolist(), strict=True))
@@ -541,7 +541,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figures of the part for the report."""
         prefix = result_prefix(part)
-        currents = _coil_currents(part, waves)
+        currents = _list_coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):
             t = 1e3 * waves["time"]
             curves = [Curve(f"{coil} coil", t, 1e3 * i) for coil, i in currents.items()]
@@ -652,7 +652,7 @@ def _format_end(height: float) -> str:
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
-def _overlap(a: Ring, b: Ring) -> float:
+def _compute_overlap(a: Ring, b: Ring) -> float:
     """Return the axial length [m] along which two rings overlap."""
     return (a.height + b.height) / 2 - abs(a.y - b.y)
 
@@ -686,7 +686,7 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
     return f"lower the source that accelerates the sphere: {names}"
 
 
-def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
+def _list_coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the recorded currents [A] of the coils by name, upper coil first."""
     result = {}
     for coil in reversed(COIL_NAMES):
@@ -726,11 +726,11 @@ def interpolation_error(table: EMTable, current: float) -> float:
     is 1.
     """
     values = table.coefficients
-    largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())
+    largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())
 
     def interpolation_miss(step: int) -> float:
         result = interpolate_by_splines(table.y[::step], values[::step])(table.y)
-        off = _force_contributions(result - values, current)
+        off = _compute_force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
     half = interpolation_miss(2)

@@ -155,14 +155,14 @@ class ContactPair:
     @cached_property
     def a(self) -> ContactSurface:
         """Surface on the lower side of the contact."""
-        return self._side("a", spherical=False)
+        return self._find_side("a", spherical=False)
 
     @cached_property
     def b(self) -> ContactSurface:
         """Surface on the upper side of the contact."""
-        return self._side("b", spherical=True)
+        return self._find_side("b", spherical=True)
 
-    def _side(self, key: str, *, spherical: bool) -> ContactSurface:
+    def _find_side(self, key: str, *, spherical: bool) -> ContactSurface:
         """Return the surface that the key ``a`` or ``b`` selects.
 
         By default, it is the only surface of the scene that fits.

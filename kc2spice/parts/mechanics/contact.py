@@ -88,12 +88,12 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
-        return _declare(pair, pair.contact_force, under, part.keys.groove)
+        return _declare_pair(pair, pair.contact_force, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         law = ContactForce(1.0, damping=part.keys.damping, friction=part.keys.friction)
-        d = self._with_heat_pin(_declare(make_pair(part, scene), law), part, scene)
+        d = self._with_heat_pin(_declare_pair(make_pair(part, scene), law), part, scene)
         ends = {"rail": "gnd", "base": "gnd", AMBIENT: "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name in ("slide", HEAT))
@@ -177,7 +177,7 @@ class Contact(DeclaredPart[ContactKeys]):
             result[f"{n}.friction"] = row
         total = "+".join(item[f"force.{port}"] for port in pair.ports)
         ends = {"force": (("v", "b", INDENTATION_PIN), ("va",))}
-        for word, by in _sum_factors(pair).items():
+        for word, by in _list_result_factors(pair).items():
             result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
         if heated is not None:
             result |= heat_vectors(part, build, meter_name(heated))
@@ -228,7 +228,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if force is None:
             return
         pair = make_pair(part, build.scene)
-        inside = _loaded_interval(force) if "time" in waves else slice(None)
+        inside = _find_loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = scale_time_axis(scale[inside])
         if (depth := pair.pushed_depth(waves)) is not None:
@@ -249,7 +249,7 @@ class Contact(DeclaredPart[ContactKeys]):
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
-        for word, share in _sum_factors(pair).items():
+        for word, share in _list_result_factors(pair).items():
             sums[f"{n}.{word}"] = laws.WaveCombination(tuple(product([share], forces)))
         return replace(result, results=result.results | sums)
 
@@ -311,7 +311,7 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Neglected(f"contact at {a.ports[count]}{last}", why, error)
 
 
-def _declare(
+def _declare_pair(
     pair: ContactPair,
     law: ContactForce,
     under: tuple[float, tuple[float, ...]] | None = None,
@@ -324,7 +324,7 @@ def _declare(
     return declare_contact(ports, gaps, law, **words)
 
 
-def _sum_factors(pair: ContactPair) -> dict[str, float]:
+def _list_result_factors(pair: ContactPair) -> dict[str, float]:
     """Return the factors that convert the sum of all port forces to results, by result.
 
     The results are ``force``, and for a groove the normal force ``flank`` of a flank.
@@ -359,7 +359,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
 # --- checks of the waveforms ----------------------------------------------------------------------
 
 
-def _loaded_interval(force: np.ndarray) -> slice:
+def _find_loaded_interval(force: np.ndarray) -> slice:
     """Return the index range of the first contacts, with a margin."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:

@@ -81,7 +81,7 @@ elastic = true
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
-        _contact(part, scene)  # raises an error if the contact of the sphere is not valid
+        _find_contact(part, scene)  # raises an error if the contact of the sphere is not valid
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = sphere_material(owner)
         if stuff.piezoelectric:
@@ -137,7 +137,9 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": mesh,
-            "pressure_basis": make_pair(_contact(part, scene), scene).pressure_basis.nodes.tolist(),
+            "pressure_basis": make_pair(
+                _find_contact(part, scene), scene
+            ).pressure_basis.nodes.tolist(),
         }
 
     def full(
@@ -146,7 +148,7 @@ elastic = true
         """Build the matrices of the full model of the elastic sphere."""
         from kc2spice.bodies.pressure import model_sphere
 
-        shape = make_pair(_contact(part, scene), scene).pressure_basis
+        shape = make_pair(_find_contact(part, scene), scene).pressure_basis
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._find_compliance(part, scene, shape).shares
             return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
@@ -184,7 +186,8 @@ elastic = true
         """Yield the assumptions of the model and the effects that it neglects."""
         yield from super().notes(part, scene)
         deep = (
-            make_pair(_contact(part, scene), scene).contact_force.depth / _body(part, scene).radius
+            make_pair(_find_contact(part, scene), scene).contact_force.depth
+            / _body(part, scene).radius
         )
         yield Neglected(
             f"slope of {part.keys.of} under the contact",
@@ -217,7 +220,7 @@ def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIs
     return TransverselyIsotropicSphere(owner.keys.radius, sphere_material(owner), part.keys.damping)
 
 
-def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
+def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
     """Return the only contact of the sphere, which must have a pressure basis."""
     owner = scene.parts[part.keys.of]
     pairs = (

@@ -117,14 +117,16 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def make_declaration(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
-        shares = tuple(float(shake.along or 0.0) for shake in _frame_accelerations(part, scene))
+        shares = tuple(
+            float(shake.along or 0.0) for shake in _list_frame_accelerations(part, scene)
+        )
         return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
 
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connections of the acceleration pins to those of the body."""
-        shakes = _frame_accelerations(part, scene)
+        shakes = _list_frame_accelerations(part, scene)
         pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
@@ -221,7 +223,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         yield f"mass {part.keys.mass:g}"
 
 
-def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
+def _list_frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
     """Return the accelerations of the frame of the mass; none for a mass in a fixed frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes

@@ -116,7 +116,7 @@ class SphereKeys(Section):
 
     @field_validator("elastic")
     @classmethod
-    def _require_elastic_key(
+    def _normalise_elastic(
         cls, elastic: bool | dict[str, Any] | None
     ) -> bool | dict[str, Any] | None:
         """Return the key ``elastic``, with None in place of false."""
@@ -175,7 +175,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
         keys = elastic if isinstance(elastic, dict) else {}
-        return {_elastic_part(part): {**keys, **table}}
+        return {_name_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -210,7 +210,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
         """Return the contact surface of the sphere, which is its lower pole."""
-        keys, carried = part.keys, _elastic_part(part)
+        keys, carried = part.keys, _name_elastic_part(part)
         known = keys.material is not None or carried
         modulus = sphere_material(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
@@ -363,9 +363,11 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
-            yield Neglected("elasticity of the sphere", why, _elasticity_effect(part, scene))
+            yield Neglected(
+                "elasticity of the sphere", why, _describe_elasticity_effect(part, scene)
+            )
         if scene.analysis.type == "transient":
-            yield _neglected_air_drag(part.keys)
+            yield _estimate_air_drag(part.keys)
             why = "the part moves along one axis"
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
@@ -380,7 +382,7 @@ def sphere_material(part: Part[SphereKeys]) -> Material:
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
-def _elastic_part(part: Part[SphereKeys]) -> str:
+def _name_elastic_part(part: Part[SphereKeys]) -> str:
     """Return the name of the part that models the sphere's elasticity.
 
     The name is empty for a rigid sphere.
@@ -409,7 +411,7 @@ def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
 
     The sphere is connected to ``pin``; without a sphere, the height is 0.
     """
-    ball = _sphere_at(part, pin, scene)
+    ball = _find_sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
@@ -418,13 +420,13 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
 
     Return None without a sphere at the pin, or if an operating point determines the height.
     """
-    ball, states = _sphere_at(part, pin, scene), scene.initial_states
+    ball, states = _find_sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
         return None
     return float(ball.keys.radius + states.get(ball.name, REST_STATE).height)
 
 
-def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
+def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
     """Return the sphere with a height that ``pin`` measures; None without such a sphere."""
     for name, other in scene.joined_pins(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
@@ -432,7 +434,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
     return None
 
 
-def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
+def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """Return the effect that the sphere's elasticity would have on the contact, in words."""
     sphere_modulus = sphere_material(part).indentation_modulus
     moduli = [make_pair(contact, scene).a.modulus for contact in scene.list_parts("contact")]
@@ -442,7 +444,7 @@ def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     return f"the indentation would be {100 * stiffest / sphere_modulus:.0f} % softer"
 
 
-def _neglected_air_drag(keys: SphereKeys) -> Neglected:
+def _estimate_air_drag(keys: SphereKeys) -> Neglected:
     """Return the neglected air drag at 1 m/s, relative to the weight of the sphere.
 
     The drag coefficient is the formula of Schiller and Naumann.
