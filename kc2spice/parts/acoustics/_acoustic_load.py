@@ -1,4 +1,4 @@
-"""Acoustic parts behind the faces of a body: their impedance, and the sound that they radiate.
+"""Acoustic parts in front of the faces of a body: impedance and radiated sound.
 
 :func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. Their
 elements are acoustic masses M, resistances R and compliances C with the admittances ``1 / (j omega
@@ -154,7 +154,7 @@ def _list_pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
 def _add_part(
     part: Part, scene: Scene, branches: list[LoadBranch], sources: list[SoundSource]
 ) -> None:
-    """Append the branches of a part to ``branches``, and its radiating surface to ``sources``."""
+    """Append the elements of a part to ``branches``, and its radiating surface to ``sources``."""
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)

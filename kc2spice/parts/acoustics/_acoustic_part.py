@@ -44,7 +44,8 @@ FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant
 
 MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
 ELEMENT_LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
-# Ratio of the circuit value of an element to its SI value: 1 V is 1 Pa and 1 A is 1e-6 m3/s.
+# Ratio of an element's value in the netlist to its SI value. In the netlist, 1 V represents 1 Pa,
+# and 1 A represents 1e-6 m3/s.
 SCALES = {
     MASS: 1 / ACOUSTIC.admittance,
     RESISTANCE: 1 / ACOUSTIC.admittance,
@@ -82,7 +83,7 @@ class AcousticElement:
 
 @dataclass(frozen=True)
 class AcousticNetwork:
-    """Acoustic elements of a part.
+    """Network of the acoustic elements of a part.
 
     ``params`` are the parameters of the subcircuit. ``constants`` are expressions of the parameters
     and of earlier constants. ``entry`` is the node behind the ammeter of the first pin. ``exits``

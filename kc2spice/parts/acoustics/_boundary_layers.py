@@ -35,7 +35,7 @@ LOWEST_CORNERS = {
 # sums of 4 / j^4 and of 4 / j^6 over the zeros j of J0.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
-LAYER_START = 1e6  # |z| above which I1(z) and I0(z) differ by less than 1e-6
+LAYER_START = 1e6  # |z| above which the Bessel functions I1(z) and I0(z) differ by less than 1e-6
 SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
 SAMPLES_PER_DECADE = 12  # number of frequencies of the fit in each decade
 BELOW, ABOVE = 6.0, 6.0  # ratios by which the corners extend below and above the band
@@ -142,7 +142,9 @@ def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: in
 
 
 def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipative part of a boundary-layer function, which is linear in the weights.
+    """Return the dissipative part of a boundary-layer function.
+
+    It is a linear function of the weights.
 
     This part is the real part of the admittance, which is ``flow`` for a duct's volume velocity,
     and ``q heat`` or ``q layer`` for heat conduction.

@@ -15,7 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_
 from kc2spice.core.prefix import PREFIXES, format_quantity, prefix_power
 from kc2spice.core.waveforms import SCALES, Waveforms
 
-# ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
+# The frequency axis is logarithmic if the highest frequency exceeds the lowest one by this factor.
 WIDE_RANGE = 20.0
 PLACE_DIGITS = 4  # number of significant digits of a frequency in a title
 

@@ -1,8 +1,8 @@
 """Far fields of radiating surfaces: low pass of the netlist, directivity and travel time.
 
 The input is the pressure on the axis at 1 m that a netlist computes, versus frequency or time. The
-output is the pressure at an angle and a distance. A piston of the radius a in a baffle has the
-directivity D and the impulse response d
+output is the pressure at a listener at an angle and a distance. A piston of the radius a in a
+baffle has the directivity D and the impulse response d
 
     D(omega) = 2 J1(omega w) / (omega w),          w = a sin(angle) / c
     d(t)     = 2 / (pi w) (1 - (t / w)^2)^1/2,     |t| < w
@@ -38,9 +38,9 @@ def baffled_radius(keys: RadiationKeys) -> float:
 
 
 def edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return the time w [s] by which sound from the edge arrives before sound from the centre.
+    """Return the time w [s] by which sound from the edge of a piston arrives early.
 
-    ``angle`` is the angle from the axis in degrees.
+    It is relative to sound from the centre, for a listener at ``angle`` in degrees from the axis.
     """
     return baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 

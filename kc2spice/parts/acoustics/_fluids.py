@@ -25,7 +25,7 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
-LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid is a liquid
+LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
@@ -74,7 +74,7 @@ class FluidTable(Section):
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
-        """Require the key specific_heat if the fluid has a conductivity."""
+        """Raise an error if ``specific_heat`` is missing, or a constant is too small."""
         if self.conductivity and self.specific_heat is None:
             raise invalid_value_error(
                 "conductivity needs the key specific_heat",

@@ -100,7 +100,7 @@ class DuctKeys(FluidKeys):
 
 
 class VentKeys(DuctKeys):
-    """Short duct, such as a hole in a housing or a port of a loudspeaker box."""
+    """Keys of a short duct, such as a hole in a housing or the port of a loudspeaker box."""
 
     end_a: EndType = Field(
         "flanged",
@@ -115,7 +115,7 @@ class VentKeys(DuctKeys):
 
 
 class TubeKeys(DuctKeys):
-    """Long duct, such as a tube of a measurement or a horn of constant cross section."""
+    """Keys of a long duct, such as a measurement tube or a horn of constant cross section."""
 
     end_a: EndType = Field(
         "none",
@@ -140,9 +140,9 @@ class TubeKeys(DuctKeys):
 
 @dataclass(frozen=True)
 class DuctModel:
-    """Sections of a duct with their losses.
+    """Model of a duct: its number of sections, and their losses.
 
-    ``sections`` is their number. ``viscous`` and ``thermal`` are the relaxations of the boundary
+    ``viscous`` and ``thermal`` are the relaxations of the boundary
     layers; None without losses. ``phase_error`` is the relative error of the phase velocity at the
     end of the band.
     """
@@ -154,7 +154,7 @@ class DuctModel:
 
     @property
     def loss_error(self) -> float:
-        """Largest relative error of the losses."""
+        """Largest relative error of the duct's losses in the frequency band."""
         layers = (self.viscous, self.thermal)
         return max((layer.loss_error for layer in layers if layer is not None), default=0.0)
 

@@ -1,4 +1,4 @@
-"""Sound pressure at a point in the far field of one or more radiating surfaces."""
+"""The part ``listener``: sound pressure at a point in the far field of radiating surfaces."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from kc2spice.scene.part_records import Neglected, Vector
 from kc2spice.scene.parttype import register
 
 OUT = "out"  # pin whose voltage is the sound pressure
-RADIATION = "radiation"  # part type of the sources
+RADIATION = "radiation"  # part type of the radiating surfaces
 RIGHT_ANGLE = 90.0  # largest angle [degrees] from the axis that is in front of a baffle
 # Functions that apply directivity and travel time to a sound pressure, by its scale.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}

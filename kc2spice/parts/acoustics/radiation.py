@@ -286,7 +286,7 @@ def find_far_field(keys: RadiationKeys) -> FarField:
 
 
 def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
-    """Return the far field as a linear combination of waves of the independent integrator."""
+    """Return the sound pressure as a linear combination of the integrator's waveforms."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
         ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,

@@ -71,7 +71,7 @@ CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lac
 # Smallest ratio of the upper end of the band to the lowest resonance frequency. With a smaller
 # ratio, the results of a kick scene had an error of 2 %.
 MIN_BAND_RATIO = 1.5
-# time points closer than this fraction of the duration of a run count as equal
+# Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
 # largest fraction of a floating electrode's charge that the leak of the netlist may remove
 MAX_CHARGE_LOSS = 1e-4
@@ -84,7 +84,7 @@ ZERO_LOAD = 1e-9
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
-    """Linear part with checks of its reduced model under the loads of a run."""
+    """Linear part with checks of its reduced model, its rating and its energy after a run."""
 
     def checks(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
@@ -109,7 +109,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            limit = (1 + 1e-9) * result.band_hz[1]  # includes a last point with a rounding error
+            limit = (1 + 1e-9) * result.band_hz[1]  # allows for a rounding error of the last frequency
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
         yield from self._check_rating(part, build, waves)
         if "time" not in waves:
@@ -123,7 +123,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_rating(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check]:
-        """Check whether the voltage at each electrode stays within its rating.
+        """Yield the checks that the voltage at each electrode stays within the rating.
 
         In an ac analysis, the rating is compared with the voltage amplitude at the electrode. This
         amplitude holds for the source voltages of the scene.

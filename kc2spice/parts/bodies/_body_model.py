@@ -50,11 +50,12 @@ RANGE_TOLERANCE = 1e-4
 # Smallest upper end [Hz] of the model's band in a transient; switching in a circuit excites unknown
 # frequencies.
 MIN_BAND_END = 10e3
-# number of natural frequencies in the default band; higher natural frequencies depend on the mesh
+# Largest number of natural frequencies in the default band. Higher natural frequencies depend on
+# the mesh.
 BAND_MODES = 20
 # Keys of a body that do not affect its models.
 _IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
-# Packages and modules on whose source code every full and reduced model depends.
+# Packages and modules with source code that affects every full and reduced model.
 MODEL_SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
@@ -80,7 +81,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     @abstractmethod
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """Return the full model of the whole device."""
+        """Return the full model of the part, for the whole device without symmetry."""
 
     def full_on_mesh(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
@@ -209,7 +210,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> ModelOverRanges:
-            """Return the model of the part."""
+            """Return the reduced model over the parameter ranges."""
 
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
@@ -285,7 +286,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
-            modal = resonators(small)  # the eigenvalues are computed once
+            modal = resonators(small)  # computed before the branches, so that eigenvalues are computed once
             if modal is None and tangent and not constants:
                 small = support_softly(small, band)
                 modal = resonators(small)

@@ -43,11 +43,11 @@ WAVE_WORDS = (
     *(domain.output_symbol for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-ZERO_ENERGY = 1e-13  # rounding error of an energy, as a fraction of the energy of the stiffest mode
+ZERO_ENERGY = 1e-13  # largest energy that counts as zero, relative to the energy of the stiffest mode
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """A part with typed ports; a scene uses the ports that other parts or probes name.
+    """Part with typed ports, of which a scene uses those that other parts or probes refer to.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -74,7 +74,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the ports that the scene needs.
+        """Return the ports of the part that the scene needs.
 
         The scene needs the electrical ports, and other ports that a part or probe names. If the
         body is the only part, all ports are returned, because such a scene only exports the body.
@@ -94,7 +94,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return tuple(used) or every[:1]
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
-        """Return the names of the ports that the scene needs."""
+        """Return the names of the ports of the part that the scene needs."""
         return names_of(self.used_ports(part, scene))
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:

@@ -52,7 +52,7 @@ class VariedKey:
 
 
 def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
-    """Return the keys that ``rom.parameters`` names.
+    """Return the keys of the part that ``rom.parameters`` lists, with their ranges.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def make_varied_key(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Make a key with a range, whose two ends can be in any order.
+    """Return a key with its range; the two ``ends`` of the range can be in any order.
 
     With ``from_zero``, the range may begin at zero.
 
@@ -133,7 +133,7 @@ def check_corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[Usa
 
 
 def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[LinearKeysT]:
-    """Return the part with other values of some keys.
+    """Return a copy of the part with other values of some of its keys.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def _unknown_key(part: Part, key: str, where: str) -> UsageError:
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
-    """Validate a material table by the schema of the part type."""
+    """Return a material table, validated by the schema of the part type."""
     return validate(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
 
 

@@ -1,4 +1,4 @@
-"""Assumptions about a radiating face of a body, and their effects on the sound pressure level.
+"""Effects of assumptions about a radiating face of a body on the sound pressure level.
 
 Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
 is a piston with this volume velocity. In front of a face that works into a cavity, a vent or a
@@ -127,7 +127,8 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     damped = face.find_largest_level(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
-        # The frequency of a tone is fixed, while the resonance frequencies fall.
+        # The shift lowers the resonance frequencies, while the frequency of the tone stays the
+        # same. This equals a tone at a higher frequency.
         near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near

@@ -40,8 +40,8 @@ REFINEMENTS, REFINED_POINTS = 3, 11
 # Only peaks within this margin [dB] of the largest peak are refined. Between two points of the
 # first search, the peak of a resonance with a Q factor of 200 can appear lower by this margin.
 PEAK_MARGIN = 12.0
-HALF_OCTAVE = 2**0.5  # largest ratio by which a resonance frequency can shift between two supports
-SILENCE = 1e-300  # Pa/V, below which a face counts as silent
+HALF_OCTAVE = 2**0.5  # largest expected ratio of a resonance's frequencies on two supports
+SILENCE = 1e-300  # Pa/V, smallest sound pressure per volt, which avoids the logarithm of zero
 
 
 @dataclass(frozen=True)

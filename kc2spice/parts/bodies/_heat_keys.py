@@ -48,7 +48,7 @@ class FilmKeys(Section):
 
 
 class InterfaceKeys(Section):
-    """Joint between two materials, with a thermal resistance."""
+    """Keys of a joint between two materials with a thermal resistance."""
 
     between: tuple[str, str] = Field(
         examples=['["case", "chip"]'],
@@ -134,13 +134,13 @@ class HeatBodyKeys(MeshKeys):
 
     @property
     def every_port(self) -> tuple[Port, ...]:
-        """All ports in the order of the model."""
+        """All thermal ports of the body, in the order of its model."""
         names = [*self.isothermal, *self.sources, *self.film_pins]
         return tuple(Port(name, THERMAL.port) for name in names)
 
     @property
     def film_pins(self) -> Iterator[str]:
-        """Pins that represent the fluids behind films."""
+        """Names of the pins that represent the fluids at films."""
         return (film.pin for film in self.films if film.pin is not None)
 
     @property

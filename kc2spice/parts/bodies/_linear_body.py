@@ -46,7 +46,7 @@ SENSITIVITY_STEP = 1e-2  # relative step of a parameter in the central differenc
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
-    """A linear part with metrics, figures and notes.
+    """Base class of linear parts, with metrics, figures and notes.
 
     Each of its base classes covers one subject: ports, models, netlist, checks. A subclass derives
     the :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
@@ -193,7 +193,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         yield from self.list_neglected_effects(part, scene)
 
     def list_neglected_effects(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
-        """Yield the effect that ``solver.ringing = "coarse"`` neglects."""
+        """Yield the free ringing of the body, if ``solver.ringing = "coarse"`` neglects it."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield Neglected(
@@ -201,7 +201,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
 
     def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
-        """Return the ports with prescribed temperatures instead of heat flows; none by default.
+        """Return the names of ports that may have a prescribed temperature; none by default.
 
         The certificate of the model also covers the responses to prescribed temperatures.
         """

@@ -14,7 +14,7 @@ MAX_INSTANTS = 20  # largest number of times at which a run writes the fields to
 
 
 class LinearKeys(Section):
-    """Keys of every linear body."""
+    """Base class for the keys of all linear bodies."""
 
     rom: Rom | None = None
     number: PartNumber | None = Field(

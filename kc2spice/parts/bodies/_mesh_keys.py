@@ -1,4 +1,4 @@
-"""Mesh or CAD file of a body: its keys, its groups, and the material of each element."""
+"""Keys of bodies from a mesh or CAD file, and functions that read groups and materials."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ MESH_FIELD = Field(  # definition of the key ``mesh`` in part types that require
 
 
 class GroupKeys(Section):
-    """Group of a CAD file: entities that contain one of the given points, or that lie in a box."""
+    """Keys of a group of entities in a CAD file.
+
+    The entities contain one of the given points, or lie in a box.
+    """
 
     solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
     faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
@@ -67,7 +70,7 @@ class GroupKeys(Section):
 
 
 class MeshKeys(FieldKeys):
-    """Keys of a body from a mesh or CAD file."""
+    """Base class for the keys of bodies from a mesh or CAD file."""
 
     mesh: Annotated[MeshFile | None, MESH_FIELD] = None
     unit: str | None = Field(
@@ -101,7 +104,7 @@ class MeshKeys(FieldKeys):
 
     @property
     def splits(self) -> int:
-        """Number of times that every edge of a mesh file is halved; 0 for a CAD file."""
+        """Number of times that every edge of a mesh from a file is halved; 0 for a CAD file."""
         return 0 if self.size else int(np.ceil(np.log2(self.refine)))
 
 

@@ -81,7 +81,7 @@ class RecoveredFields:
 
     @property
     def worst_stress(self) -> Extreme:
-        """Return the stress closest to its limit; without limits, the largest stress."""
+        """Extreme of the stress that is closest to its limit; without limits, the largest."""
         stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -260,7 +260,7 @@ def find_field_problems(
 
 
 def check_mesh(part: Part, build: Build) -> Iterator[Check]:
-    """Yield checks of the estimated errors of a part's mesh."""
+    """Yield checks of the error estimates of a part's mesh against their limits."""
     for words, error, limit in list_limited_errors(build.facts(part)):
         name = f"mesh of {part.name}, {words}"
         yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
@@ -281,7 +281,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether the rim of the body is clamped, so that air cannot flow around it."""
+        """Return whether air cannot flow around the rim of the body, because it is clamped."""
         return False
 
     def bonded(self, part: Part[FieldKeysT]) -> BondedBlocks:
@@ -316,7 +316,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return result
 
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Return the finite-element model of the blocks."""
+        """Build the finite-element model of the bonded blocks."""
         return self.sounding(part, scene).device()
 
     def full_on_mesh(
@@ -335,7 +335,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return len(self.bonded(part).blocks[0].box)
 
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Return the outer shape, from which the effects of air are estimated."""
+        """Return the outer size of the blocks, from which neglected effects are estimated."""
         blocks = self.bonded(part).blocks
         if len(blocks[0].box) == 3:
             return beam_envelope(blocks)
@@ -397,7 +397,7 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     panels = []
     for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
         rows = recovered.extremes_of(quantity)
-        if quantity == "opposing_field":  # otherwise the panel above shows the same curves
+        if quantity == "opposing_field":  # omit curves that equal the curves of the electric field
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue

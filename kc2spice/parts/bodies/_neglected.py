@@ -1,4 +1,4 @@
-"""Effects that no finite-element body models, each with its size if a formula exists.
+"""Effects that all finite-element bodies neglect, each with its size if a formula exists.
 
 The input of these formulas is an :class:`Envelope` with outer size, mass and layers. These values
 follow from the keys before a mesh exists. An effect that the model includes, such as a layer of
@@ -99,7 +99,9 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def box_envelope(sides: Sequence[float]) -> Envelope:
-    """Return the envelope of a box, or of a cylinder from its radius and height [m].
+    """Return the envelope of a box with these sides [m].
+
+    Two sides are the radius and the height of a cylinder.
 
     The mass of the moved air is at most ``8/3 rho a^3``. This is the mass for a disc of radius a
     that has the area of the largest face.

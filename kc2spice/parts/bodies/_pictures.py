@@ -1,4 +1,4 @@
-"""Figures of bodies: waveforms of their ports, and fields and modes of meshed bodies."""
+"""Figures of bodies: waveforms at their ports, impedances, and fields and mode shapes."""
 
 from __future__ import annotations
 
@@ -107,8 +107,7 @@ def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
 def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     """Plot displacements, voltage and current of the ports of ``name``.
 
-    Waveforms are drawn over the shortest interval that contains all deviations above 2 % of the
-    largest deviation.
+    The time axis covers the interval that contains all displacements above 2 % of the largest one.
     """
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:
@@ -133,7 +132,7 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
 def draw_deformed(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
-    """Draw the deformed body over its edges at rest, and return the displacement scale.
+    """Return a picture of the deformed body and its edges at rest, and the scale factor.
 
     The colour shows the largest principal stress. ``z`` is the vector of displacements, of shape
     (n,), and ``voltages`` contains the electrode voltages, of shape (e,).

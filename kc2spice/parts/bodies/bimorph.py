@@ -135,7 +135,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
 
     Raises
     ------
-    UsageError : a material does not exist, or wiring is stated without a piezoelectric layer.
+    UsageError : a material does not exist, or ``wiring`` is stated without a piezoelectric layer.
     """
     beam = validate(BimorphKeys, keys, where)
     materials = [
@@ -185,7 +185,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     fixed = {
         "cantilever": [clamp],
         "clamped": [clamp, ("xyz", end)],
-        # One corner of each edge is clamped, so that the width can change.
+        # Only one corner of each supported edge is fixed in y, so that the width can change.
         "simply_supported": [
             ("xz", across(0.0, full_width, (0.0, 0.0))),
             ("z", across(length, full_width, (0.0, 0.0))),

@@ -1,6 +1,6 @@
 """The part ``body``: the user's own mesh or CAD file as a linear model with named ports.
 
-Groups of the file name materials, supports, electrodes and ports::
+The groups of the file are used for materials, supports, electrodes and ports::
 
     [bracket]
     part = "body"
@@ -99,7 +99,7 @@ _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
 class FixedKeys(Section):
-    """Group whose displacement is zero along some axes.
+    """Keys of a support: a mesh group with zero displacement along some axes.
 
     In an axisymmetric body, ``x`` is the radial axis.
     """
@@ -114,7 +114,7 @@ class FixedKeys(Section):
 
 
 class PortKeys(Section):
-    """Mechanical or acoustic port of a body.
+    """Keys of a mechanical or acoustic port of a body.
 
     A port of ``kind`` *mean* is the mean displacement of a group along ``axis``, with a force that
     is distributed over the group. The group consists of elements, faces, curves or points. The kind
@@ -199,7 +199,7 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """Radial or tangential poling, or the poling of each element from a CSV file.
+    """Keys of radial or tangential poling, or of poling vectors in a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with points, the point nearest to an
@@ -303,7 +303,7 @@ class AxesKeys(Section):
 
 
 class BodyKeys(MeshKeys):
-    """Body from a mesh or CAD file.
+    """Keys of a piezoelectric or elastic body from a mesh or CAD file.
 
     The electrode ``cathode`` is the return pin of all other electrodes; without it, the electrode
     ``gnd``, ``ground``, or the last electrode is the return pin. ``floating`` electrodes are

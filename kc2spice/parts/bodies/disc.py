@@ -40,7 +40,9 @@ _RADIAL_CELLS = 20
 
 
 class FeedbackKeys(Section):
-    """Ring or disc of the top electrode that drives the input of a self-oscillating buzzer.
+    """Keys of the feedback electrode of a self-oscillating buzzer.
+
+    This ring or disc in the top electrode drives the input of the oscillator.
 
     The electrode in data sheets has the shape of a tongue. The model contains a ring of the same
     area instead, because only the area matters.
@@ -84,7 +86,7 @@ class DiscLayer(Section):
 
     @property
     def electrode_diameter(self) -> float:
-        """Diameter of the electrodes of the layer [m]."""
+        """Diameter [m] of the layer's electrodes."""
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")
@@ -118,7 +120,7 @@ class Node(Section):
 
 
 class DiscKeys(FieldKeys):
-    """Layers and support of a disc.
+    """Keys of a disc: its layers, support, wiring, damping and mesh.
 
     ``wiring`` has an effect with two or more ceramic layers. ``parallel`` connects every second
     electrode to the cathode, beginning with the lowest electrode. ``series`` uses the lowest and
@@ -146,7 +148,7 @@ class DiscKeys(FieldKeys):
 
     @property
     def largest_diameter(self) -> float:
-        """Diameter of the widest layer [m]."""
+        """Diameter [m] of the widest layer."""
         return max(layer.diameter for layer in self.layers)
 
     @model_validator(mode="after")

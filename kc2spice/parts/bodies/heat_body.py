@@ -411,7 +411,7 @@ dc = "1 W"
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
         """Return a reduced model over the ranges of film coefficients and other keys.
 
-        The prescribed temperatures and the norm are the same as in :meth:`reduce_body`.
+        Prescribed temperatures and the error norm are treated as in :meth:`reduce_body`.
         """
         from kc2spice.rom.heat_ranges import HeatReduction
 
@@ -435,7 +435,7 @@ dc = "1 W"
         known = [name for name in model.facts if name.startswith(RESISTANCE_PREFIX)]
         if not known:
             return model
-        resistances = compute_static_resistances(model)  # names of the ports that the scene uses
+        resistances = compute_static_resistances(model)  # only for the ports that the scene uses
         exact = {name: resistances[name] for name in known if name in resistances}
         return replace(model, facts={**model.facts, **exact})
 
@@ -454,7 +454,7 @@ dc = "1 W"
     def metrics(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the thermal resistances of ports, and the peak temperature of each material."""
+        """Return the thermal resistance of each port, and the peak temperature per material."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
             if name.startswith(RESISTANCE_PREFIX):

@@ -86,7 +86,7 @@ class Rings(PieceKeys):
 
 
 class BoltKeys(PieceKeys):
-    """Bolt along the axis, which passes through the back mass and ends in the front mass.
+    """Keys of the bolt, which passes through the back mass and ends in the front mass.
 
     ``depth`` is the length of the bolt inside the front mass. The head of the bolt, if it has one,
     is at the free end of the back mass.

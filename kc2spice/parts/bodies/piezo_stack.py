@@ -67,13 +67,13 @@ OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudde
 MAX_TIME_STEP = 10e-6  # time step [s] that resolves a kick, its contact and the flight after it
 
 
-DRIVER_TYPES = {  # part types, keyed by the values of the key driver
+DRIVER_TYPES = {  # part type of each driver, by its name in the key ``driver``
     "half_bridge": "half_bridge",
     "amplifier": "amplifier",
     "charge": "charge_drive",
     "user": "netlist",
 }
-MOUNTING_TEXTS = {  # descriptions of the values of the key mounting
+MOUNTING_TEXTS = {  # description of each value of the key ``mounting``
     "roller": "frictionless roller under its bottom face",
     "glued": "bottom face glued down, u = 0",
     "free": "nothing holds its bottom face",
@@ -368,7 +368,7 @@ class PiezoStack(MeshedBody[Stack]):
         return Rom(band=(low, high * plain.height / part.keys.height))
 
     def envelope(self, part: Part[Stack], scene: DeclaredScene) -> Envelope:
-        """Return the outer shape, from which the effects of air are estimated."""
+        """Return the outer size of the stack, from which neglected effects are estimated."""
         keys = part.keys
         (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)

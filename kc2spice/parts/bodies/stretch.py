@@ -11,8 +11,8 @@ For a plate clamped along all edges, whose face is divided into rows of patches,
 holds with ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)).
 Its source is H. M. Berger, J. Appl. Mech. 22 (1955) 465, who neglects the second invariant of the
 in-plane strains. The square of a mean slope lacks a twelfth of the squared differences between
-rows, which the formula adds. At a mirror plane, w is even, as at a clamp. A model of a quarter of a
-plate therefore uses length, width and stiffness of the quarter.
+rows, which the formula adds. At a mirror plane, w continues as its mirror image, as at a clamp. A
+model of a quarter of a plate therefore uses length, width and stiffness of the quarter.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from kc2spice.scene.parttype import register
 
 
 class StretchKeys(Section):
-    """Keys of the stretching force of a body.
+    """Keys of the stretching force of a beam or plate.
 
     ``a`` is the name of a beam that is clamped at both ends and has a row of patches, or a list of
     at least three ports. ``a`` can also be a plate that is clamped along all edges. The plate has

@@ -1,4 +1,4 @@
-"""Keys of a PID controller, which the controlled sphere also reads."""
+"""Keys of a PID controller, in a separate module because other part types also use them."""
 
 from __future__ import annotations
 

@@ -2,9 +2,8 @@
 
 The output of the controller is constant between the samples. The function is defined in a Python
 file beside the scene. A run executes this file only with ``--trust``. A Python program may pass the
-function instead:
-``kc.run(scene, functions={"NAME": function})``. A run that is repeated with other settings reads
-the file again, or calls the passed function again from time 0 on.
+function instead: ``kc.run(scene, functions={"NAME": function})``. If kc2spice repeats the run with
+other settings, it reads the file again, or calls the passed function again from time 0 on.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ Function = Callable[[float, Mapping[str, float]], float]
 
 
 class ControllerKeys(Section):
-    """Keys of a sampled controller, ``function(time, inputs) -> output`` in SI units.
+    """Keys of a sampled controller ``function(time, inputs) -> output`` in SI units.
 
     The function is called once in each ``period``. ``output`` is a voltage [V], or a current [A]
     out of the pin ``out``. The output changes at a time ``delay`` after each sample.
@@ -142,7 +141,7 @@ wiring = "parallel"
         yield part.name.lower(), "held"
 
     def law(self, part: Part[ControllerKeys], build: Build) -> MissingEquations:
-        """Return the reason why the part has no equations."""
+        """Return the reason why the controller has no model equations."""
         return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:

@@ -43,9 +43,9 @@ SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
 SENSE_RESISTANCE = 100.0  # Ohm; its voltage is 10 V at the paper's current limit of 0.1 A
 # largest command voltage [V] of the output stage, far below the supply of the signal amplifiers
 MAX_COMMAND = 10.0
-SUPPLY_VOLTAGE = 400.0  # V, supply of the output stage; higher if the coils require it
-SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output
-ENABLE_EDGE = 1e-8  # s, duration of the edges of the enabling signal
+SUPPLY_VOLTAGE = 400.0  # smallest supply voltage [V] of the output stage
+SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output voltage
+ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
 DISCHARGE_TIME = 1e-6  # s, time constant with which a disabled controller's integral decays
 # Largest fraction of the run during which the current may be at its limit. At the limit, the
 # controller has no effect.
@@ -98,7 +98,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     gains = [gain for gain in terms if getattr(control, gain)]
     target = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
-    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # behind a resistor of 1 Ohm
+    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # source resistance of 1 Ohm
     if output:
         ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
         content = f"0.5*sensed^2 - {target}*drop"
@@ -127,7 +127,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
 
 
 def _list_parameters(control: Control) -> Iterator[Param]:
-    """Return the parameters that an instance of the subcircuit can set."""
+    """Yield the parameters that an instance of the controller's subcircuit can set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAIN_PARAMETERS:
         if getattr(control, gain):

@@ -38,7 +38,7 @@ VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, pin voltage that represen
 
 
 class SensorKeys(Section):
-    """Keys of a position sensor with one pole, an offset and white noise."""
+    """Keys of a position sensor: bandwidth of its low-pass filter, offset and white noise."""
 
     bandwidth: Frequency = Field(
         1e6, gt=0, description="Bandwidth of the sensor, which is a first-order low-pass filter"

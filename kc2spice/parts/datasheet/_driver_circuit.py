@@ -52,7 +52,11 @@ def baffle_air_mass(area: float) -> float:
 
 
 class SemiInductance(NamedTuple):
-    """Inductances [H], semi-inductance [H s^-1/2] and shunt resistance [Ohm]; 0 if absent."""
+    """Elements that model a voice coil with eddy currents; a missing element is 0.
+
+    They are the inductances ``leb`` and ``le`` [H], the semi-inductance ``ke`` [H s^-1/2] and the
+    resistance ``rss`` [Ohm] of shorted turns.
+    """
 
     leb: float
     le: float

@@ -9,7 +9,7 @@ from kc2spice.parts.acoustics.listener import ListenerKeys
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.scene.model import Part, Scene
 
-STEADY_SHARE = 0.5  # fraction of a transient after which the oscillation counts as periodic
+STEADY_SHARE = 0.5  # last fraction of a transient in which the oscillation counts as periodic
 
 
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:

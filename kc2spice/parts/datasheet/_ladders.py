@@ -1,4 +1,6 @@
-"""Ladders of resistors and inductors, or of springs and dampers, for irrational responses.
+"""Ladder networks that approximate irrational frequency responses.
+
+The networks consist of resistors and inductors, or of springs and dampers.
 
 A response ``f(s)`` with losses at all frequencies, such as ``1/sqrt(s)`` or ``ln(1 + 1/s)``, is
 approximated in a frequency band by ::
@@ -25,7 +27,7 @@ SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
 # Number of branches of the ladder of semi-inductances. Each additional branch divides the error by
 # 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
-# Band of the ladder of creep, relative to the creep frequency.
+# Frequency band of the ladder of creep, relative to the creep frequency.
 CREEP_BAND = 1e-3, 30.0
 # Number of elements of the ladder of creep. Each additional element divides the error by 2.9.
 CREEP_ELEMENTS = 6

@@ -1,7 +1,7 @@
 """Resonators as Butterworth-Van Dyke circuits, as in data sheets of ceramics and crystals.
 
-A clamped capacitance ``c0`` is in parallel with one series branch ``lm``, ``cm``, ``rm`` for each
-mode:
+A clamped capacitance ``c0`` is in parallel with a series branch of ``lm``, ``cm`` and ``rm`` for
+each mode. The admittance is
 
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
@@ -156,7 +156,7 @@ class NumberedPart(PartType[KeysT]):
     """Part with a library that is named after its part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the part number as the name of the subcircuit."""
+        """Return the name of the subcircuit, which is the part number if there is one."""
         number = getattr(part.keys, "number", None)
         if not number:
             return super().subcircuit_name(part, scene)

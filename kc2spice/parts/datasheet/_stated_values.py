@@ -20,7 +20,7 @@ import numpy as np
 
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
-VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three digits
+VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
 # Step of the central differences with respect to logarithms; their errors are 1e-10 and 1e-11.
 DIFFERENCE_STEP = 1e-5
 # Relative singular value below which an unknown counts as undetermined, far above the errors of the
@@ -29,7 +29,7 @@ RANK_TOLERANCE = 1e-7
 SOLUTION_TOLERANCE = 1e-6  # largest relative error of an equation that counts as solved
 # factor by which one unknown changes at the start of the search for a second circuit
 RESTART_FACTOR = 30.0
-# difference of the logarithm of an unknown above which two circuits differ
+# Two circuits count as different if the logarithm of an unknown differs by more than this value.
 DISTINCT_DIFFERENCE = 1e-3
 # Smallest accepted value in SI units, far below all values of data sheets; its reciprocal is the
 # largest.
@@ -78,7 +78,7 @@ class StatedValues:
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:
-        """Return the text ``key = value unit``."""
+        """Return a value of the data sheet as the string ``key = value unit``."""
         return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
 
     # --- equations --------------------------------------------------------------------------------

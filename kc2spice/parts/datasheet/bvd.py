@@ -43,7 +43,7 @@ START_RATIO = 0.05
 START_QUALITY = 100.0
 # smallest ratio of motional to clamped capacitance, below the ratio of any crystal
 SMALLEST_RATIO = 1e-9
-# Start values [Hz] and [F] of the iteration, if the keys do not state these values.
+# Start values of the iteration for frequencies [Hz] and capacitances [F] that no key states.
 FREQUENCY = 1e4
 CLAMPED = 1e-9
 

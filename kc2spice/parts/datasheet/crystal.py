@@ -1,4 +1,4 @@
-"""Quartz crystal or tuning fork from its data sheet."""
+"""The part ``crystal``: a quartz crystal or tuning fork from its data sheet."""
 
 from __future__ import annotations
 

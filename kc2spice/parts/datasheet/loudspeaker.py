@@ -233,7 +233,7 @@ stop = "1 kHz"
         return declare_motor(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the motor; the pin ``cone`` need not be connected."""
+        """Return the pins of the loudspeaker; the pin ``cone`` may stay unconnected."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 

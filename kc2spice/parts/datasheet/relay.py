@@ -32,7 +32,7 @@ HALF_WAY_TIME = math.log(2)
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
-    """Keys of a relay.
+    """Keys of a relay from its data sheet.
 
     The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. It
     releases when this product falls below ``release``.

@@ -1,9 +1,10 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
-Each function declares the circuit of a template ``templates/driver_….j2`` with its nodes. In the
-declaration, the content function describes resistors, the coenergy describes capacitors, and output
-currents describe controlled sources. An inner node of a driver is declared as a pin to which no
-other part is connected. The equations do not include noise.
+Each function ``declare_…`` returns the declaration of the circuit in a netlist template
+``templates/driver_….j2``, with the same nodes. In the declaration, the content function describes
+resistors, the coenergy describes capacitors, and output currents describe controlled sources. An
+inner node of a driver is declared as a pin to which no other part is connected. The equations do
+not include noise.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
 STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
 RAIL_STIFFNESS = 1e3  # restoring rate divided by the slew rate, per volt beyond a rail [1/V]
 FULL_TURN = repr(2 * math.pi)
-# Parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
+# Name of the parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
 # Gain with which a linear amplifier limits a voltage beyond a rail: 1 kS of the rail divided by 1
 # mS of the input stage.

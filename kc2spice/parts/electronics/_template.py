@@ -205,7 +205,7 @@ def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vec
 
 
 def ends(*terminals: str) -> tuple[Terminal, ...]:
-    """Return the pins of a driver: ``command``, the driven terminals and ``ref``."""
+    """Return the pins of a driver: ``command``, the output ``terminals`` and ``ref``."""
     driven = (Terminal(name, "V", "A", required=True) for name in terminals)
     return (Terminal("command", "V", "-"), *driven, Terminal("ref", "V", "A", "gnd"))
 

@@ -1,4 +1,4 @@
-"""Junction diode: ngspice's ``.model D`` with documented parameters."""
+"""The part ``diode``: a junction diode, ngspice's ``.model D`` with documented parameters."""
 
 from __future__ import annotations
 

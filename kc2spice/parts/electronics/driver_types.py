@@ -174,7 +174,7 @@ class LinearDriverKeys(InputNoise):
 
 
 class LinearDrive(CoilDriver[LinearDriverKeys]):
-    """Part type of a linear current source for coils."""
+    """Part type ``linear_drive``: current source for coils, linear amplifier between two rails."""
 
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearDriverKeys
@@ -290,7 +290,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
             "inductance": load.inductance,
             "coil_resistance": resistance,
             "bandwidth": keys.bandwidth,
-            "r2": r2,  # Ohm V, product of 1e5 Ohm, ratio and rail
+            "r2": r2,  # product of 1e5 Ohm, ratio and rail voltage [Ohm V]
             "constant": load.inductance / resistance,
         }
 

@@ -209,7 +209,7 @@ class Netlist(PartType[NetlistKeys]):
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
     def law(self, part: Part[NetlistKeys], build: Build) -> MissingEquations:
-        """Return the reason why the part has no equations."""
+        """Return the reason why the netlist has no model equations."""
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:

@@ -57,7 +57,7 @@ class SourceKind(NamedTuple):
 
     @property
     def quantity(self) -> Quantity:
-        """Quantity that the source prescribes."""
+        """Physical quantity that the source prescribes."""
         return self.domain.quantity(self.side)
 
     @property

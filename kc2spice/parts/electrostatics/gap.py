@@ -69,7 +69,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 
-PATCH_PREFIX = "patch"  # prefix of the ports of a body that form a row of patches
+PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
 # Relative error of the ratio of force to displacement that the iterations of an operating point
 # cause.
 ITERATION_ROUNDING = 1e-9
@@ -78,7 +78,7 @@ ITERATION_ROUNDING = 1e-9
 MAX_CAPACITANCE_CHANGE = 1e-5
 # Largest odd m and n of the film series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
-# ratio of the number of film branches in ``verify`` to the number in the netlist
+# factor on the number of film branches for the model of ``verify``
 REFINEMENT_RATIO = 2
 # Smallest and largest number of film branches. The smallest number exceeds 1, because the motion
 # can be faster than the drive.

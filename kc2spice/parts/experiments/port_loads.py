@@ -94,7 +94,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the body, which this part copies once for each load."""
+        """Return the loaded body, which this part copies once for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:

@@ -482,7 +482,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             )
 
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
-        """Return the frequency [Hz] up to which eddy currents are resolved."""
+        """Return the largest frequency [Hz] of resolved eddy currents."""
         return float(
             part.keys.frequency
             or max(
@@ -632,7 +632,7 @@ def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
 
 
 def _make_cross_section(ring: Ring) -> Winding:
-    """Return the cross-section of a magnet, as a winding without turns."""
+    """Return the cross-section of a magnet, represented by a winding with 0 turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
 

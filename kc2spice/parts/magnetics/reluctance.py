@@ -16,7 +16,7 @@ from kc2spice.scene.parttype import register
 
 
 class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
-    """Keys of a magnetic circuit that attracts iron.
+    """Keys of a magnetic circuit that attracts an iron armature.
 
     The flux is ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` with the current i
     and the displacement x. It causes a force ``gaps flux^2 / (2 MU_0 area)`` in the direction of x.

@@ -1,4 +1,4 @@
-"""Keys of a contact, which the parts on both sides also read."""
+"""Keys of a contact, in a separate module because the parts on both sides also use them."""
 
 from __future__ import annotations
 

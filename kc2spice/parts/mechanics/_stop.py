@@ -1,4 +1,4 @@
-"""Stop of a moving plate, comb or armature: a spring that returns a part of the impact energy.
+"""Stop of a moving plate, comb or armature, a spring that returns part of the impact energy.
 
 Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd/dt. Its force is::
 
@@ -24,7 +24,7 @@ MIN_STRIKE_VELOCITY = 1e-4
 
 
 class StopKeys(Section):
-    """Keys of a stop: restitution and damping."""
+    """Keys of a stop: coefficient of restitution, and damping."""
 
     restitution: Ratio = Field(
         0.5,

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
-FLOOR_PORT = "floor"  # port of a rigid plane
-SPHERE_PATCH = "patch"  # port of an elastic sphere
+FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
+SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
 # Assumed ratio of the error due to the pressure basis to the change of the force with basis
 # functions of half the width. A comparison with functions of a quarter of the width gives a ratio
 # of 1.8.
@@ -113,7 +113,7 @@ class TouchablePart(PartType[KeysT]):
         return None
 
     def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[LargestIndentation]:
-        """Yield the largest indentation that the part can cause in each contact of the scene."""
+        """Return the largest indentations that the part can cause in the scene's contacts."""
         return ()
 
 

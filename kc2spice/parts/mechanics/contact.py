@@ -57,14 +57,14 @@ MAX_ENERGY_ERROR = 1e-3
 # half of this number, the error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest relative error of the force due to the pressure basis
-MAX_RING_MOTION = 0.95  # largest displacement at an omitted ring, relative to the gap of this ring
+MAX_RING_MOTION = 0.95  # largest displacement of an omitted ring, relative to its gap
 # Largest product of reltol and the number of contact events in a kick, because every event adds the
 # error of a time step. Among 37 kicks of chips with damping ratios of 0.01 to 0.05 %, kicks above
 # this limit had relative errors of the launch velocity of 9e-4.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # largest height [m] above the body that counts as resting on it
 CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies
-# Factors on solver.reltol for Hertzian and for damped contacts.
+# Factors on ``solver.reltol`` for Hertzian or pressure contacts, and for damped contacts.
 CURVED_RELTOL_FACTOR = 0.1
 DAMPED_RELTOL_FACTOR = 0.01
 MIN_EVENTS = 20  # number of contact events up to which every reltol is sufficient
@@ -157,7 +157,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.contact_force  # the type checker cannot infer this type
+            assert pair.contact_force  # raises an error if the contact law does not fit both sides
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the part's results, keyed by result name."""

@@ -65,7 +65,7 @@ def _default_density(keys: dict[str, Any]) -> float:
 
 
 def _load_material(name_or_table: str | dict[str, Any]) -> Material:
-    """Return the material of a sphere from its name or its table."""
+    """Return the material of a sphere from the material's name or table."""
     try:
         return material(name_or_table, "sphere.material")
     except UsageError as error:
