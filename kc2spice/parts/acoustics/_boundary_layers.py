@@ -1,8 +1,8 @@
 """Viscous and thermal boundary layers of ducts and cavities as sums of relaxations.
 
 A relaxation ``w / (p + q)`` with the weight w and the corner p is a function of the normalised
-frequency ``q = j omega a^2 / nu``. In a circuit, it is a branch of two positive elements. The
-length a is the radius of a circular duct, or the volume of a cavity divided by its surface. The
+frequency ``q = j omega a^2 / nu``. In a circuit, a relaxation is a branch of two positive elements.
+The length a is the radius of a circular duct, or the volume of a cavity divided by its surface. The
 following functions are sums of relaxations with positive weights:
 
     flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)

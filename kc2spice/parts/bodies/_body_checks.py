@@ -109,7 +109,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            limit = (1 + 1e-9) * result.band_hz[1]  # allows for a rounding error of the last frequency
+            limit = (1 + 1e-9) * result.band_hz[1]  # allows for the rounding error of a frequency
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
         yield from self._check_rating(part, build, waves)
         if "time" not in waves:
@@ -125,8 +125,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield the checks that the voltage at each electrode stays within the rating.
 
-        In an ac analysis, the rating is compared with the voltage amplitude at the electrode. This
-        amplitude holds for the source voltages of the scene.
+        In an ac analysis, the rating is compared with the voltage amplitude that the sources of the
+        scene cause at the electrode.
         """
         volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
         if volts is None:

@@ -81,7 +81,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     @abstractmethod
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
-        """Return the full model of the part, for the whole device without symmetry."""
+        """Return the full, unreduced model of the whole device."""
 
     def full_on_mesh(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
@@ -286,7 +286,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
-            modal = resonators(small)  # computed before the branches, so that eigenvalues are computed once
+            modal = resonators(small)  # eigenvalues are computed only once
             if modal is None and tangent and not constants:
                 small = support_softly(small, band)
                 modal = resonators(small)
@@ -325,7 +325,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return a band that ends at one of the first natural frequencies of the full model."""
+        """Return ``band``, limited to the first natural frequencies of the full model."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")

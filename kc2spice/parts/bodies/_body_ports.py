@@ -43,7 +43,7 @@ WAVE_WORDS = (
     *(domain.output_symbol for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-ZERO_ENERGY = 1e-13  # largest energy that counts as zero, relative to the energy of the stiffest mode
+ZERO_ENERGY = 1e-13  # largest energy that counts as zero, relative to that of the stiffest mode
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):

@@ -460,8 +460,8 @@ def _estimate_kick_speed(part: Part[Stack], scene: GovernedScene) -> float | Non
     """Return the speed [m/s] of the chip's top face in a kick; None without a voltage.
 
     The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
-    the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, it is used
-    instead.
+    the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, the edge time is
+    the divisor instead.
     """
     voltage = highest_voltage(part, scene)
     if not voltage:

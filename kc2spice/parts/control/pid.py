@@ -146,11 +146,11 @@ def pid_subcircuit(
     """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
 
     Its inputs are the height ``y`` and ``enable``. The output stage measures the coil current with
-    a resistor of at most 100 Ohm. Its voltage at the current limit is at most 10 V, within the
-    rails. The supply voltage of the output stage is a multiple of 100 V. It can drive the limit
-    current through the resistance ``load`` [Ohm] of the coils, with a margin for changes of the
-    current. Without the output stage, the output of the controller is the voltage at ``command``,
-    with 100 V for each ampere of the set current.
+    a resistor of at most 100 Ohm. The voltage of this resistor at the current limit is at most 10
+    V, within the rails. The supply voltage of the output stage is a multiple of 100 V. With it, the
+    stage can drive the limit current through the resistance ``load`` [Ohm] of the coils, with a
+    margin for changes of the current. Without the output stage, the output of the controller is the
+    voltage at ``command``, with 100 V for each ampere of the set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":

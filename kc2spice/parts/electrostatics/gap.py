@@ -194,7 +194,7 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
-        """Return the number of film branches of the reference model; None for the netlist's own.
+        """Return the number of film branches of the reference model; None for the netlist model.
 
         With ``full``, the film has :data:`REFINEMENT_RATIO` times as many branches as the netlist.
         """

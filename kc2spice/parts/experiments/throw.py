@@ -143,7 +143,7 @@ def _compute_impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
 def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Return time and value of the minimum of ``y``.
 
-    They belong to the parabola through the lowest sample and its two neighbours.
+    Both are computed from a parabola through the lowest sample and its two neighbours.
     """
     k = int(np.argmin(y))
     if k in (0, t.size - 1):

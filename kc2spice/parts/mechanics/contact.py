@@ -45,9 +45,9 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numeri
 from kc2spice.scene.parttype import register
 
 # Limits of the relative difference between the launch velocities of the reduced and the full model.
-# They are a factor on the error estimate of the reduction, the limit without a certificate, and the
-# largest limit. The largest limit is necessary because the error at a sharp resonance can be
-# arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
+# The three constants are a factor on the error estimate of the reduction, the limit without a
+# certificate, and the largest limit. The largest limit is necessary because the error at a sharp
+# resonance can be arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
@@ -445,7 +445,9 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
 def _check_open_ports(
     pair: ContactPair, build: Build, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
-    """Yield the check *ring_left_out* or *outer_ring*: the contact is inside its modelled rings.
+    """Yield the check that the contact stays inside the modelled contact rings.
+
+    The check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
 
     *ring_left_out* checks that the first ring without a contact spring stays open. The
     displacement of this ring is not a result of the run. It is estimated as the displacement of the

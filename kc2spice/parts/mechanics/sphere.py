@@ -447,7 +447,7 @@ def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) ->
 def _estimate_air_drag(keys: SphereKeys) -> Neglected:
     """Return the neglected air drag at 1 m/s, relative to the weight of the sphere.
 
-    The drag coefficient is the formula of Schiller and Naumann.
+    The drag coefficient follows the formula of Schiller and Naumann.
     """
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY
