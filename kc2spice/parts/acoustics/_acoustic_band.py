@@ -8,7 +8,7 @@ from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import GovernedScene
 
 AUDIO_END = 20e3  # Hz, upper end of the band if the sources have no highest frequency
-DECADES = 1e4  # largest ratio of the highest to the lowest frequency of a band
+MAX_BAND_RATIO = 1e4  # largest ratio of the highest to the lowest frequency of a band
 
 
 class AcousticBand(NamedTuple):
@@ -26,4 +26,4 @@ def acoustic_band(scene: GovernedScene) -> AcousticBand:
     """
     high = highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.is_small_signal else 0.0
-    return AcousticBand(max(start, high / DECADES), high)
+    return AcousticBand(max(start, high / MAX_BAND_RATIO), high)

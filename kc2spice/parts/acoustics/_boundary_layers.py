@@ -38,7 +38,8 @@ STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
 LAYER_START = 1e6  # |z| above which the Bessel functions I1(z) and I0(z) differ by less than 1e-6
 SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
 SAMPLES_PER_DECADE = 12  # number of frequencies of the fit in each decade
-BELOW, ABOVE = 6.0, 6.0  # ratios by which the corners extend below and above the band
+# Factors by which the corners extend below and above the band.
+RATIO_BELOW_BAND, RATIO_ABOVE_BAND = 6.0, 6.0
 STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
 
 
@@ -133,8 +134,8 @@ def fit_boundary_layer(
 
 def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
     """Return the normalised corners of the relaxations, dense in the band and sparse below it."""
-    first, top = LOWEST_CORNERS[layer], ABOVE * high
-    dense = max(first, low / BELOW)
+    first, top = LOWEST_CORNERS[layer], RATIO_ABOVE_BAND * high
+    dense = max(first, low / RATIO_BELOW_BAND)
     top = max(top, 10 * dense)
     count = math.ceil(per_decade * math.log10(top / dense)) + 1
     sparse = np.geomspace(first, dense, math.ceil(math.log10(dense / first)) + 1)

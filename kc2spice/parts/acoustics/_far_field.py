@@ -25,7 +25,7 @@ from kc2spice.parts.acoustics.radiation import RadiationKeys
 
 # Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63; its
 # error for a sine with omega w = 30 is below 1e-9.
-DELAYS = 32
+DELAY_COUNT = 32
 FIRST_NULL = 3.8317  # first zero of J1
 
 
@@ -94,8 +94,8 @@ def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
     """
     if width == 0.0:
         return np.ones(1), np.zeros(1)
-    angles = np.pi * np.arange(1, DELAYS + 1) / (DELAYS + 1)
-    return 2 / (DELAYS + 1) * np.sin(angles) ** 2, width * np.cos(angles)
+    angles = np.pi * np.arange(1, DELAY_COUNT + 1) / (DELAY_COUNT + 1)
+    return 2 / (DELAY_COUNT + 1) * np.sin(angles) ** 2, width * np.cos(angles)
 
 
 def directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:

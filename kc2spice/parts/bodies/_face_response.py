@@ -33,15 +33,15 @@ LOWEST_SHARE = 0.1
 SEARCH_POINTS = 150  # number of logarithmically spaced frequencies of the search for the level
 # The search for sharp resonances adds points at these relative distances from each natural
 # frequency.
-DISTANCES = np.geomspace(1e-4, 0.1, 16)
-MODE_RATIOS = np.concatenate([1 - DISTANCES, [1.0], 1 + DISTANCES])
+MODE_DISTANCES = np.geomspace(1e-4, 0.1, 16)
+MODE_RATIOS = np.concatenate([1 - MODE_DISTANCES, [1.0], 1 + MODE_DISTANCES])
 # Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
 REFINEMENTS, REFINED_POINTS = 3, 11
 # Only peaks within this margin [dB] of the largest peak are refined. Between two points of the
 # first search, the peak of a resonance with a Q factor of 200 can appear lower by this margin.
 PEAK_MARGIN = 12.0
 HALF_OCTAVE = 2**0.5  # largest expected ratio of a resonance's frequencies on two supports
-SILENCE = 1e-300  # Pa/V, smallest sound pressure per volt, which avoids the logarithm of zero
+MIN_PRESSURE = 1e-300  # Pa/V, smallest sound pressure per volt, which avoids the logarithm of zero
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class LoadedFace:
         row = self.joined.index(self.port)
         coupled = np.any(Z[:, row] != 0, axis=0)
         pressure = np.abs(s * np.sum((sound * volume)[:, coupled], axis=1))
-        return np.asarray(20 * np.log10(np.maximum(pressure, SILENCE)))
+        return np.asarray(20 * np.log10(np.maximum(pressure, MIN_PRESSURE)))
 
     def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
         """Return the frequency [Hz] with the largest level in a range, and this level."""

@@ -54,15 +54,15 @@ DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damp
 # Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick, so that the
 # errors of time steps add up. With the value of reltol for a damping ratio of 1 %, chips with a
 # damping ratio of 0.01 to 0.1 % have errors of the launch velocity up to 2.6e-4.
-RINGING = 4e-3
-UNDAMPED = 2e-4  # damping ratio below which reltol is not reduced further
+RINGING_DAMPING = 4e-3
+MIN_DAMPING = 2e-4  # damping ratio below which reltol is not reduced further
 # Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
 # Factor on reltol for a downward kick. The chip leaves the sphere, rings, and strikes the sphere at
 # a phase to which the errors of all time steps contribute. For -100 V, the relative error of the
 # launch velocity is 1.2e-2 at a reltol of 1e-4, 6e-4 at 1e-6, and 1.1e-4 at 1e-7.
-DOWNWARDS = 2e-3
-SLOWER = 0.1  # speed of a downward kick, relative to an upward kick
+DOWNWARD_RELTOL_FACTOR = 2e-3
+DOWNWARD_SPEED_RATIO = 0.1  # speed of a downward kick, relative to an upward kick
 OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudden load
 MAX_TIME_STEP = 10e-6  # time step [s] that resolves a kick, its contact and the flight after it
 
@@ -296,7 +296,7 @@ class PiezoStack(MeshedBody[Stack]):
         if not scene.list_parts("contact"):
             return
         ratio = math.pi * DAMPING_FREQUENCY * part.keys.damping.beta
-        close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
+        close = math.sqrt(min(1.0, max(ratio, MIN_DAMPING) / RINGING_DAMPING))
         speed = _estimate_kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
             # Parts other than sources at the anode can slow down a kick. With an amplifier of 5 A,
@@ -305,7 +305,7 @@ class PiezoStack(MeshedBody[Stack]):
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
-            close = min(close, DOWNWARDS)
+            close = min(close, DOWNWARD_RELTOL_FACTOR)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
         yield Numerics(what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol)
@@ -471,7 +471,7 @@ def _estimate_kick_speed(part: Part[Stack], scene: GovernedScene) -> float | Non
     stroke = free_stroke(part.keys, voltage)
     edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
     speed = stroke / max(4 * part.keys.height / sound, edge)
-    return max(1e-3, SLOWER * speed if _moves_down_first(part) else speed)
+    return max(1e-3, DOWNWARD_SPEED_RATIO * speed if _moves_down_first(part) else speed)
 
 
 def _moves_down_first(part: Part[Stack]) -> bool:

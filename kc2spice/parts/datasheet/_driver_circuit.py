@@ -30,8 +30,8 @@ from kc2spice.physics.declaration import Branch, branch
 
 FRONT, REAR = "front", "rear"
 SEMI_INDUCTANCE_KEYS = ("leb", "ke", "rss")
-SIGN = "um and N count along plus current; 1 A into a pin pushes it that way with 1 N"
-SOUND_SIGN = "; a cone that moves this way presses air out of front and draws it in by rear"
+SIGN_NOTE = "um and N count along plus current; 1 A into a pin pushes it that way with 1 N"
+SOUND_SIGN_NOTE = "; a cone that moves this way presses air out of front and draws it in by rear"
 AIR_NOTE = "part of mms that is the air load of radiation parts"
 _AMBIENT = "ambient"
 COIL = "coil"  # name of the voice coil's current, which flows from ``plus`` to the node ``eddy``
@@ -243,7 +243,7 @@ def declare_motor(
         conductors=(i,),
         temperature_coefficient=find_resistance_coefficient("copper"),
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
-        sign=SIGN + SOUND_SIGN * bool(sides),
+        sign=SIGN_NOTE + SOUND_SIGN_NOTE * bool(sides),
         inner=tuple(more.inner),
         # The sound pressure is computed from the velocity, because a second numerical derivative of
         # the displacement would be inaccurate.

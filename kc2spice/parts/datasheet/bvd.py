@@ -44,8 +44,8 @@ START_QUALITY = 100.0
 # smallest ratio of motional to clamped capacitance, below the ratio of any crystal
 SMALLEST_RATIO = 1e-9
 # Start values of the iteration for frequencies [Hz] and capacitances [F] that no key states.
-FREQUENCY = 1e4
-CLAMPED = 1e-9
+START_FREQUENCY = 1e4
+START_CAPACITANCE = 1e-9
 
 
 def _wrap_in_list(value: object) -> object:
@@ -309,9 +309,10 @@ def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
         ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
     elif keys.fs and keys.fp:
         ratio = np.maximum(np.square(keys.fp) / np.square(keys.fs) - 1, SMALLEST_RATIO)
-    c0 = keys.c0 or (keys.c_low or max(keys.cm, default=CLAMPED) / ratio[0]) / (1 + ratio.sum())
+    low_capacitance = keys.c_low or max(keys.cm, default=START_CAPACITANCE) / ratio[0]
+    c0 = keys.c0 or low_capacitance / (1 + ratio.sum())
     cm = np.array(keys.cm) if keys.cm else ratio * c0
-    fs = np.full(modes, FREQUENCY)
+    fs = np.full(modes, START_FREQUENCY)
     if keys.fs:
         fs = np.array(keys.fs)
     elif keys.fp:

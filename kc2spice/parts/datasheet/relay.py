@@ -26,7 +26,7 @@ from kc2spice.scene.parttype import register
 
 # Rise time of the current divided by the operate time, assumed for a data sheet without an
 # inductance.
-SHARE = 0.9
+CURRENT_RISE_SHARE = 0.9
 # time from one end of the armature's travel to the middle, in time constants of the armature
 HALF_WAY_TIME = math.log(2)
 
@@ -99,9 +99,10 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
     if keys.operate_time is None:
         assert keys.inductance is not None
         electrical = keys.inductance / keys.resistance * rise
-        return RelayTiming(keys.inductance, (1 / SHARE - 1) * electrical / HALF_WAY_TIME)
+        mechanical = (1 / CURRENT_RISE_SHARE - 1) * electrical
+        return RelayTiming(keys.inductance, mechanical / HALF_WAY_TIME)
     if keys.inductance is None:
-        electrical = SHARE * keys.operate_time
+        electrical = CURRENT_RISE_SHARE * keys.operate_time
         inductance = electrical / rise * keys.resistance
         return RelayTiming(inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
     electrical = keys.inductance / keys.resistance * rise
@@ -239,7 +240,7 @@ pins = { a = "relay.com", b = "gnd" }
             f"{keys.resistance:g} Ohm and {times.inductance:.3g} H"
         )
         if keys.inductance is None:
-            share = f"{100 * SHARE:g} % of the operate time"
+            share = f"{100 * CURRENT_RISE_SHARE:g} % of the operate time"
             yield Neglected("share of the armature in the operate time", share, "not estimated")
         yield Neglected("bounce of contacts", "they switch once", "a few milliseconds")
         yield Neglected(

@@ -33,8 +33,8 @@ SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
 SENSE_LOAD = 1e3  # Ohm, resistor that converts a current to the voltage of a sensor
-GATE = 12.0  # supply voltage [V] of the gate drivers
-THRESHOLD = 3.0  # threshold voltage [V] of the transistors
+GATE_SUPPLY = 12.0  # supply voltage [V] of the gate drivers
+THRESHOLD_VOLTAGE = 3.0  # threshold voltage [V] of the transistors
 SATURATION_CURRENT = 1e-14  # saturation current [A] of the diodes from source to drain
 THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 
@@ -114,8 +114,8 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
     following current from drain to source. v_gs is the voltage from gate to source, v_gd from gate
     to drain, and v_sd from source to drain::
 
-        i = kp/2 (max(0, v_gs - THRESHOLD)^2 - max(0, v_gd - THRESHOLD)^2)
-            - SATURATION (exp(v_sd / THERMAL_VOLTAGE) - 1)
+        i = kp/2 (max(0, v_gs - THRESHOLD_VOLTAGE)^2 - max(0, v_gd - THRESHOLD_VOLTAGE)^2)
+            - SATURATION_CURRENT (exp(v_sd / THERMAL_VOLTAGE) - 1)
     """
     supplies = "0.5*(tank - rail)^2/supply_resistance + 0.5*bridge^2/leakage"
     output = f"0.5*(bridge - out)^2/{SERIES_PARAMETER}"
@@ -134,15 +134,15 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
         content=f"{supplies} + {output} + {gates} + {transistors}",
         signals={
             "asked": "2*command/rail - 1",
-            "gate_high": f"{GATE!r}*(max(0, asked) - max(0, asked - 1))",
-            "gate_low": f"{GATE!r}*(max(0, -asked) - max(0, -asked - 1))",
+            "gate_high": f"{GATE_SUPPLY!r}*(max(0, asked) - max(0, asked - 1))",
+            "gate_low": f"{GATE_SUPPLY!r}*(max(0, -asked) - max(0, -asked - 1))",
             "current_high": _write_transistor_current("v_high", "v_tank", "v_bridge"),
             "current_low": _write_transistor_current("v_low", "v_bridge", "0"),
         },
         given=tuple(parameters),
         constants={
             SERIES_PARAMETER: "resistance",
-            "kp": f"2*current_limit/({GATE - THRESHOLD!r})^2",
+            "kp": f"2*current_limit/({GATE_SUPPLY - THRESHOLD_VOLTAGE!r})^2",
         },
     )
 
@@ -194,7 +194,7 @@ def declare_pwm_drive(
 
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
     """Return the expression of a transistor's current [A] from ``drain`` to ``source``."""
-    ends = (f"max(0, {gate} - {end} - {THRESHOLD!r})^2" for end in (source, drain))
+    ends = (f"max(0, {gate} - {end} - {THRESHOLD_VOLTAGE!r})^2" for end in (source, drain))
     diode = f"{SATURATION_CURRENT!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
     return f"0.5*kp*({' - '.join(ends)}) - {diode}"
 

@@ -76,7 +76,7 @@ V = voltage("v", "a", "b")
 I = current("i", "a", "b")
 X = displacement("x", "a", "b")
 PUSH = 'kind = "pressure"\ndc = "1 Pa"'
-BLOW = 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
+VOLUME_VELOCITY = 'kind = "volume_velocity"\ndc = "1e-6 m3/s"'
 T = branch("temperature")
 P = branch("pressure")
 U = branch("volume_velocity")
@@ -101,7 +101,7 @@ TABLE = (
     ElementRow("acoustic_compliance", "acoustic compliance of a closed volume", "compliance",
         "m3/Pa", "7e-11 m3/Pa", P, {"coenergy": "0.5*compliance*pressure^2"}, PUSH),
     ElementRow("acoustic_mass", "acoustic mass of moving fluid between two pins of pressure",
-        "mass", "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, BLOW),
+        "mass", "kg/m4", "150 kg/m4", U, {"coenergy": "0.5*mass*flow^2"}, VOLUME_VELOCITY),
 )  # fmt: skip
 
 

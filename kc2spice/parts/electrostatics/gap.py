@@ -82,8 +82,8 @@ MAX_SERIES_INDEX = 99
 REFINEMENT_RATIO = 2
 # Smallest and largest number of film branches. The smallest number exceeds 1, because the motion
 # can be faster than the drive.
-FEWEST = 3
-MOST = 100
+MIN_BRANCHES = 3
+MAX_BRANCHES = 100
 
 
 class FringingKeys(Section):
@@ -108,7 +108,7 @@ class SqueezeFilmKeys(Section):
     branches: Count | None = Field(
         None,
         ge=1,
-        le=MOST,
+        le=MAX_BRANCHES,
         description="Number of series terms of the squeezed film; by default 3 to 100, "
         "depending on the tolerance and the highest frequency of the scene",
     )
@@ -321,10 +321,10 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
     if keys.film.branches is not None:
         return keys.film.branches
     top = highest_frequency(scene)
-    for count in range(FEWEST, MOST):
+    for count in range(MIN_BRANCHES, MAX_BRANCHES):
         if truncation_error(keys.film, keys.gap, count, top) <= keys.film.tolerance:
             return count
-    return MOST
+    return MAX_BRANCHES
 
 
 @lru_cache(maxsize=256)

@@ -69,7 +69,7 @@ Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
 # ratio of the full model's tolerance to the reduced model's tolerance
 TOLERANCE_RATIO = 0.1
-SWING = 0.05  # smallest change of height between two turning points, relative to its range
+MIN_TURN_SHARE = 0.05  # smallest change of height between two turning points, relative to its range
 MAX_TURNS = 5  # largest number of turning points among the metrics
 # Factor on the number of rings and on the highest frequency for the full model.
 REFINEMENT_RATIO = 2
@@ -82,13 +82,13 @@ SCREENED_RATIO = 0.5
 MAX_FREQUENCY_RATIO = 2.0
 # Fraction of a coil current's energy below the highest frequency of a run. It is less than 1,
 # because a short sine also has energy above its frequency.
-SEEN = 0.99
+CURRENT_ENERGY_SHARE = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
 # Largest relative change of a magnet's path in ``verify``, where its field has a ten times smaller
 # tolerance.
-MOVED = 1e-3
+MAX_PATH_CHANGE = 1e-3
 # smallest assumed ratio of the change due to finer rings to the error of the rings
-MIN_CHANGE = 0.1
+MIN_CHANGE_RATIO = 0.1
 
 
 class CoilKeys(Section):
@@ -409,7 +409,7 @@ class MovingBody(DeclaredPart[MovingT]):
             of = f"{part.name}.{_current_name('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
         elif "time" in waves:
-            of, limits = f"{part.name}.y", {"rom_vs_fom": MOVED}
+            of, limits = f"{part.name}.y", {"rom_vs_fom": MAX_PATH_CHANGE}
             words = f"height of {part.name} over its way, a tenth of its tolerance"
             yield Gate(words, of, limits, "travel", discretisation=True)
         yield from super().checks(part, build, waves)
@@ -514,7 +514,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
         return replace(
-            ladder, ring_error=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE)
+            ladder, ring_error=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE_RATIO)
         )
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
@@ -545,11 +545,11 @@ def _describe_ring_error(model: LoopModel) -> str:
 def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
 
-    Between two turning points, ``y`` changes by more than the fraction ``SWING`` of its range.
-    Smaller ripple is ignored.
+    Between two turning points, ``y`` changes by more than the fraction ``MIN_TURN_SHARE`` of its
+    range. Smaller ripple is ignored.
     """
     result, best, sign = [], 0, 0
-    least = SWING * np.ptp(y)
+    least = MIN_TURN_SHARE * np.ptp(y)
     for k in range(1, y.size):
         gone = y[k] - y[best]
         if not sign and abs(gone) > least:
@@ -613,7 +613,8 @@ def _find_highest_run_frequency(
     for name in part.keys.coils:
         current = waves.data.get(f"{part.name}.{_current_name(name)}")
         if "time" in waves and current is not None:
-            result = max(result, find_energy_frequency(waves["time"], current, share=SEEN))
+            share = CURRENT_ENERGY_SHARE
+            result = max(result, find_energy_frequency(waves["time"], current, share=share))
     return result
 
 

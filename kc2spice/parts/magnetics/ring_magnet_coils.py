@@ -70,8 +70,8 @@ from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # conductivity [S/m] of the sphere, from table A1 of the paper
 
-COLD = "coils at the temperature of their data, without heating"
-HOT = "resistances linear in the temperature, which is the same for both coils"
+COLD_TEXT = "coils at the temperature of their data, without heating"
+HOT_TEXT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 # Current [A] in plots and checks of the force, if the scene states no current limit.
 DEFAULT_CURRENT = 0.1
@@ -181,7 +181,7 @@ def coils_subcircuit(
             for coil, ohm in zip(COIL_NAMES, table.resistance, strict=True)
         ),
         validity=f"sphere's centre from {low:g} to {high:g} {DISPLACEMENT.pin_unit}, "
-        f"constant forces beyond; linear magnetics; {COLD if wire is None else HOT}",
+        f"constant forces beyond; linear magnetics; {COLD_TEXT if wire is None else HOT_TEXT}",
         rating=rating,
         sign=SIGN_TEXT,
         mesh=f"error estimate of the field: {errors}" if errors else "",
