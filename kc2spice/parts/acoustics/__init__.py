@@ -1,1 +1,1 @@
-"""Acoustic parts: radiation, listeners, cavities, vents and tubes."""
+"""Acoustic part types: radiation, listeners, diaphragms, cavities, vents and tubes."""

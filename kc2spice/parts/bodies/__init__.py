@@ -1,1 +1,1 @@
-"""Finite-element bodies and models of matrices: reduced, with typed ports."""
+"""Part types with reduced linear models, from finite elements or from matrix files."""

@@ -1,1 +1,1 @@
-"""Controllers and the sensors that they read."""
+"""Part types of controllers and of the sensors at their inputs."""

@@ -1,1 +1,1 @@
-"""Part types whose keys are the values of a maker's data sheet."""
+"""Part types with keys that are the values of a manufacturer's data sheet."""

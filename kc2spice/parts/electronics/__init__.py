@@ -1,1 +1,1 @@
-"""Sources, elements with two pins, diodes, drivers and the user's own netlists."""
+"""Part types of sources, elements with two pins, diodes, drivers and user's netlists."""

@@ -1,1 +1,1 @@
-"""Plates, combs and gaps under a voltage."""
+"""Part types of electrostatic actuators: parallel plates, comb drives and gaps."""

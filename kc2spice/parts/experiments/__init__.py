@@ -1,1 +1,4 @@
-"""Experiments of the paper as parts: impact, imprint, frequency response and force map."""
+"""Part types for the experiments of the paper.
+
+They are impact, imprint, frequency response and force map.
+"""

@@ -1,1 +1,1 @@
-"""Coils, magnets and iron that move, and conductors with eddy currents."""
+"""Part types of coils, magnets, moving iron, and conductors with eddy currents."""

@@ -1,1 +1,1 @@
-"""Masses, spheres, springs and contacts."""
+"""Part types of masses, spheres, nonlinear springs and contacts."""
