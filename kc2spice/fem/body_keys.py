@@ -1,4 +1,4 @@
-"""Keys that all parametric bodies share: damping and mesh."""
+"""Scene keys of the damping and of the mesh that all parametric bodies share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kc2spice.core.quantities import (
 
 
 class Mesh(Section):
-    """Keys of a mesh; ``refine`` divides every cell along each axis."""
+    """Keys of a mesh; ``refine`` is the number of cells into which each cell edge is divided."""
 
     refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor that multiplies the number of cells along each edge"
@@ -28,18 +28,19 @@ class Mesh(Section):
 
 
 class Damping(Section):
-    """Losses of the motion and of the dielectric.
+    """Mechanical and dielectric losses of a body.
 
-    ``model = "rayleigh"`` is the viscous damping matrix ``E = alpha M + beta K``. The key ``at`` is
-    the frequency of the damping ratio ``zeta``, by default the first resonance of the body. Instead
-    of ``zeta``, a Q factor ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. One ratio gives
-    ``beta = 2 zeta / omega``. Two ratios at two frequencies determine alpha and beta: ``zeta =
-    alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of ``K_i/(Q_i omega)``
-    over the materials i.
+    ``model = "rayleigh"`` selects viscous damping with the matrix ``E = alpha M + beta K``, where M
+    is the mass matrix and K the stiffness matrix. The damping ratio ``zeta`` applies at the
+    frequency ``at``, by default the first resonance of the body. Instead of ``zeta``, a Q factor
+    ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. One damping ratio gives ``beta = 2 zeta
+    / omega``. Two damping ratios at two frequencies determine ``alpha`` and ``beta`` by the
+    equation ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of
+    ``K_i/(Q_i omega)`` over the materials i.
 
-    ``model = "ieee176"`` means complex constants of IEEE Std 176. The Q factor is the same for all
-    modes. The constants of the materials are their values at the frequency ``at``, by default the
-    first resonance of the body.
+    ``model = "ieee176"`` selects the complex material constants of IEEE Std 176. The Q factor is
+    then the same for all modes. The material constants of the scene are those at the frequency
+    ``at``, by default the first resonance of the body.
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
@@ -54,14 +55,14 @@ class Damping(Section):
         None, ge=0, description="Mechanical loss factor, equal to 2 * ratio"
     )
     per_material: bool = Field(
-        False, description="Whether the Q factors of the materials determine the damping"
+        False, description="Whether the damping is computed from the Q factors of the materials"
     )
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
         None,
         description=("Frequency at which the damping ratio holds; by default the first resonance"),
     )
     alpha: Rate = Field(
-        0.0, ge=0, description="Coefficient alpha of the damping in proportion to the mass matrix"
+        0.0, ge=0, description="Coefficient alpha of the mass-proportional damping alpha M"
     )
     loss_tangent: Ratio | None = Field(
         None,
@@ -76,8 +77,8 @@ class Damping(Section):
     )
 
     @model_validator(mode="after")
-    def _require_quality_only(self) -> Damping:
-        """Reject keys that cannot be combined with damping by Q factors."""
+    def _reject_rayleigh_keys(self) -> Damping:
+        """Reject keys that cannot be combined with ``model = "ieee176"``."""
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
@@ -91,8 +92,8 @@ class Damping(Section):
         return self
 
     @model_validator(mode="after")
-    def _require_one_form(self) -> Damping:
-        """Require exactly one of the alternative keys of damping."""
+    def _require_consistent_damping(self) -> Damping:
+        """Require at most one of the alternative damping keys, with a valid value."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
@@ -135,7 +136,7 @@ class Damping(Section):
         return self
 
     def _solve_two_ratios(self) -> tuple[float, float]:
-        """Solve for alpha and beta from two damping ratios."""
+        """Solve for the Rayleigh coefficients alpha and beta from two damping ratios."""
         omega = 2 * math.pi * np.asarray(self.at, dtype=float)
         ratios = np.asarray(self.ratio, dtype=float)
         alpha, beta = np.linalg.solve(np.column_stack([0.5 / omega, 0.5 * omega]), ratios)
@@ -143,7 +144,7 @@ class Damping(Section):
 
     @property
     def zeta(self) -> float:
-        """Damping ratio at ``at``; 1 % by default."""
+        """Damping ratio at the frequency ``at``; 1 % by default."""
         if self.quality is not None:
             return 0.5 / self.quality
         if self.loss_factor is not None:
@@ -157,7 +158,7 @@ class Damping(Section):
         return resonance_hz if self.at is None else float(np.min(self.at))
 
     def rayleigh(self, resonance_hz: float) -> tuple[float, float]:
-        """Return ``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``."""
+        """Return ``alpha`` [1/s] and ``beta`` [s] of the matrix ``E = alpha M + beta K``."""
         if isinstance(self.ratio, tuple):
             return self._solve_two_ratios()
         at = self.frequency(resonance_hz)

@@ -1,7 +1,7 @@
 """Poling directions of single elements of a mesh, read from a CSV file.
 
-The first line names the columns: ``element, px, py, pz`` or ``x, y, z, px, py, pz``. Lines that
-begin with ``#`` are comments. The poling vectors have any length except zero.
+The first line of the file contains the column names ``element, px, py, pz`` or ``x, y, z, px, py,
+pz``. Lines that begin with ``#`` are comments. The poling vectors have any length except zero.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.untrusted_files import decode_text, read_bounded, split_lines
 
-MAX_FILE_BYTES = 500_000_000  # largest size of a file
+MAX_FILE_BYTES = 500_000_000  # largest size of a poling file
 VECTOR_COLUMNS = ("px", "py", "pz")
 COLUMN_LAYOUTS = (("element", *VECTOR_COLUMNS), ("x", "y", "z", *VECTOR_COLUMNS))
 EXPECTED_COLUMNS = " or ".join(map(", ".join, COLUMN_LAYOUTS))
@@ -27,15 +27,17 @@ LISTED_ELEMENTS = 5  # largest number of elements that an error message lists
 
 @dataclass(frozen=True, eq=False)
 class PolingTable(EqualByContent):
-    """Rows of a file of poling directions.
+    """Rows of a poling file.
 
     Attributes
     ----------
-    where : key of the scene that names the file.
-    rows : line number of each row in the file.
-    directions : (rows, 3) poling vectors.
-    numbers : (rows,) element numbers of the mesh file, None if the rows contain coordinates.
-    points : (rows, 2 or 3) coordinates in the unit of the mesh, None if the rows contain numbers.
+    where : scene key that contains the name of the poling file.
+    rows : line number of each row in the poling file.
+    directions : poling vectors, an array of shape (rows, 3).
+    numbers : element numbers of the mesh file, an array of shape (rows,); None if the rows contain
+        coordinates.
+    points : coordinates in the unit of the mesh, an array of shape (rows, 2 or 3); None if the rows
+        contain element numbers.
     """
 
     where: str
@@ -47,14 +49,15 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Return the index of the row that belongs to each of the elements ``members``.
+        """Return, for each of the elements ``members``, the index of its row.
 
-        ``numbers`` (elements,) and ``middles`` (elements, d) are the numbers in the mesh file and
-        the centres of all elements, in the unit of the mesh.
+        ``numbers`` (elements,) are the numbers of all elements in the mesh file. ``middles``
+        (elements, d) are the centres of all elements, in the unit of the mesh.
 
         Raises
         ------
-        UsageError : an element has no row, or a row names an element that does not exist.
+        UsageError : an element has no row, or a row contains the number of an element that does not
+            exist.
         """
         if self.numbers is None:
             from scipy.spatial import cKDTree  # imported here, because few meshes need it
@@ -64,7 +67,7 @@ class PolingTable(EqualByContent):
         if strange.size:
             number = self.numbers[strange[0]]
             problem = f"row {self.rows[strange[0]]}: this element is not in the mesh"
-            expected = f"numbers of elements of the mesh, {numbers.min()} … {numbers.max()}"
+            expected = f"element numbers of the mesh, {numbers.min()} … {numbers.max()}"
             got = f"element {number}, and {strange.size - 1} more"
             hint = "export the file for the mesh of this body, or delete these rows"
             raise wrong(self.where, problem, got, expected, hint)
@@ -77,7 +80,7 @@ class PolingTable(EqualByContent):
             expected = "a row for each element of the group"
             raise wrong(
                 self.where,
-                "the file lacks elements of the mesh",
+                "the poling file lacks elements of the mesh",
                 got,
                 expected,
                 f"add a row for element {missing[0]}",
@@ -86,12 +89,13 @@ class PolingTable(EqualByContent):
 
 
 def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
-    """Read a file of poling directions.
+    """Read a poling file.
 
     Raises
     ------
-    UsageError : the file is unreadable, columns are wrong, a value is not a number, a vector is
-    zero, an element has two rows, or a vector is not in the plane of an axisymmetric mesh.
+    UsageError : the file is unreadable, the columns are wrong, a value is not a number, a poling
+        vector is zero, an element has two rows, or a poling vector is not in the plane of an
+        axisymmetric mesh.
     """
     try:
         text = decode_text(read_bounded(path, MAX_FILE_BYTES))
@@ -111,10 +115,10 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
         got = ", ".join(titles)[:100] or "an empty file"
         raise wrong(
             where,
-            "the file of polings has wrong columns",
+            "the first line of the poling file has wrong columns",
             got,
             EXPECTED_COLUMNS,
-            f"write the titles  {','.join(COLUMN_LAYOUTS[0])}  into the first line",
+            f"write the column names  {','.join(COLUMN_LAYOUTS[0])}  into the first line",
         )
     rows, values = [], []
     for row, cells in lines:
@@ -123,26 +127,26 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     if not rows:
         raise wrong(
             where,
-            "the file of polings has no rows",
+            "the poling file has no rows below the column names",
             expected="a row for each element",
-            hint="add rows below the titles",
+            hint="add a row for each element below the column names",
         )
     table = np.array(values)
-    _require_directions(table[:, -3:], rows, where, axisymmetric)
+    _reject_invalid_directions(table[:, -3:], rows, where, axisymmetric)
     if columns == COLUMN_LAYOUTS[0]:
-        numbers = _require_numbers(table[:, 0], rows, where)
+        numbers = _convert_element_numbers(table[:, 0], rows, where)
         return PolingTable(where, rows, table[:, -3:], numbers, None)
     points = table[:, [0, 2] if axisymmetric else [0, 1, 2]]
     return PolingTable(where, rows, table[:, -3:], None, points)
 
 
 def compute_centres(mesh: Mesh) -> np.ndarray:
-    """Return the centre (elements, d) [m] of each element: the mean of its corners."""
+    """Return the centres (elements, d) [m] of all elements: the means of their corners."""
     return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
 
 
 def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
-    """Find the element of the mesh ``coarse`` around the centre of each element of ``fine``."""
+    """Find the element of the mesh ``coarse`` that contains the centre of each ``fine`` element."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)
@@ -150,7 +154,7 @@ def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
 
 
 def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the cells of each line that is not a comment."""
+    """Yield the line number and the cells of each line that is neither empty nor a comment."""
     for row, line in enumerate(split_lines(text), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             try:
@@ -189,7 +193,7 @@ def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str)
     return result
 
 
-def _require_directions(
+def _reject_invalid_directions(
     directions: np.ndarray, rows: list[int], where: str, axisymmetric: bool
 ) -> None:
     zero = np.flatnonzero(~directions.any(axis=1))
@@ -209,12 +213,12 @@ def _require_directions(
         raise wrong(where, problem, f"py = {directions[out[0], 1]:g}", "py = 0", hint)
 
 
-def _require_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndarray:
+def _convert_element_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndarray:
     fractions = np.flatnonzero((values != np.rint(values)) | (np.abs(values) > 2**53))
     if fractions.size:
         row = rows[fractions[0]]
         problem = f"row {row}, column element: not an element number"
-        hint = f"write {round(values[fractions[0]])}, if this is the element"
+        hint = f"write {round(values[fractions[0]])} if that is the number of the element"
         raise wrong(where, problem, f"{values[fractions[0]]:g}", "a whole number", hint)
     numbers = values.astype(np.int64)
     _, first = np.unique(numbers, return_index=True)

@@ -1,9 +1,9 @@
-"""Cubic shape functions on the mesh of a solid with quadratic shape functions.
+"""Cubic shape functions that extend the quadratic shape functions of a solid.
 
-The functions are hierarchical: together with the functions of the solid, they span the cubic
-polynomials on triangles and tetrahedra, and the products of cubic polynomials on quadrilaterals.
-Each cubic function belongs to an edge, a face or the interior of an element, and is zero at all
-nodes of the solid:
+The cubic functions are hierarchical. Together with the quadratic functions of the solid, they span
+the cubic polynomials on triangles and tetrahedra, and the products of cubic polynomials on
+quadrilaterals. Each cubic function belongs to an edge, a face or the interior of an element, and is
+zero at all nodes of the solid:
 
     l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
     l_i l_j l_k           on faces of tetrahedra and in triangles
@@ -13,8 +13,9 @@ nodes of the solid:
 with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an edge changes its sign
 if the direction of the edge is reversed.
 
-:func:`assemble_enrichment` integrates the matrix entries of the additional functions, which
-:mod:`kc2spice.fem.solid` lacks. Source: B. Szabo and I. Babuska, Finite Element Analysis (1991).
+:func:`assemble_enrichment` integrates the matrix entries of the cubic functions;
+:mod:`kc2spice.fem.solid` integrates those of the quadratic functions only. Source: B. Szabo and I.
+Babuska, Finite Element Analysis (1991).
 """
 
 from __future__ import annotations
@@ -33,18 +34,19 @@ from skfem.mesh import MeshQuad, MeshTet
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 
-# degree of exact integration, sufficient for the mass of axisymmetric straight cubic elements
+# polynomial degree to which integration is exact; the mass matrix of axisymmetric cubic elements
+# with straight edges needs this degree
 INTEGRATION_ORDER = 7
 CHUNK_BYTES = 64e6  # bytes of the element matrices that are computed at once
-# largest relative change of the derivatives within an element that is a rounding error
+# largest relative change of the mapping's derivatives in an element that counts as rounding error
 AFFINE_TOLERANCE = 1e-9
 
 
 class ShapeFunction(NamedTuple):
-    """Shape function on the reference element: values (points,) and gradients (d, points).
+    """Values (points,) and gradients (d, points) of a function on the reference element.
 
     ``corners`` are the corners of the edge, triangle or quadrilateral to which the function
-    belongs. The corners of an edge are in the direction of the edge.
+    belongs. The two corners of an edge are ordered in the direction of the edge.
     """
 
     corners: tuple[int, ...]
@@ -54,13 +56,14 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """Cubic shape functions of a solid, and their numbers.
+    """Cubic shape functions of a solid, numbered over the whole mesh.
 
     Attributes
     ----------
-    functions : shape functions on the reference element, at the integration points.
-    nodes : local numbers of the nodes on the edge, face or interior of each function.
-    numbers, signs : (functions, elements) number and sign of each local function in the solid.
+    functions : cubic shape functions of the reference element, evaluated at the integration points.
+    nodes : for each function, the local numbers of the nodes on its edge, face or interior.
+    numbers, signs : numbers and signs of the local functions in the whole mesh, two arrays of shape
+        (functions, elements).
     """
 
     solid: Solid
@@ -71,11 +74,11 @@ class Enrichment:
 
     @property
     def count(self) -> int:
-        """Number of cubic functions of the whole solid."""
+        """Number of cubic functions in the whole solid."""
         return int(self.numbers.max()) + 1
 
     def mask_dielectric_functions(self) -> np.ndarray:
-        """Return a mask (count,) of the functions in piezoelectric and dielectric materials."""
+        """Return a mask (count,) that selects functions in piezoelectrics and dielectrics."""
         field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
@@ -84,14 +87,18 @@ class Enrichment:
 
 @dataclass(frozen=True, eq=False)
 class EnrichedOperators:
-    """Matrices between selected cubic functions, and between these functions and all nodes.
+    """Finite-element matrices of selected cubic functions, and their coupling to all nodes.
 
-    The unknowns of cubic functions are displacements and potentials. ``K`` is the stiffness between
-    displacements, ``C`` the coupling of displacements and potentials, ``P`` the permittivity
-    between potentials, and ``M`` the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have a row for
-    each displacement of a function and a column for each unknown of a node. ``D_nodes`` and
-    ``P_nodes`` have a row for each potential of a function. Their columns are the displacements and
-    the potentials of nodes.
+    The unknowns of the cubic functions are displacements and potentials. ``K`` is the stiffness
+    matrix of the displacements, ``C`` the coupling matrix of displacements and potentials, ``P``
+    the permittivity matrix of the potentials, and ``M`` the mass matrix. The matrices named
+    ``…_nodes`` have a row for each unknown of a cubic function and a column for each unknown of a
+    node:
+
+    - rows of ``K_nodes``, ``C_nodes`` and ``M_nodes``: displacements of the cubic functions
+    - rows of ``D_nodes`` and ``P_nodes``: potentials of the cubic functions
+    - columns of ``K_nodes``, ``D_nodes`` and ``M_nodes``: displacements of the nodes
+    - columns of ``C_nodes`` and ``P_nodes``: potentials of the nodes
     """
 
     K: sparse.csr_array
@@ -105,7 +112,7 @@ class EnrichedOperators:
     M_nodes: sparse.csr_array
 
     def scale(self, factor: float) -> EnrichedOperators:
-        """Return all matrices times a factor."""
+        """Return a copy in which each matrix is multiplied by a factor."""
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
@@ -119,9 +126,10 @@ def make_enrichment(solid: Solid) -> Enrichment:
 def assemble_enrichment(
     enrichment: Enrichment, free: np.ndarray, live: np.ndarray
 ) -> EnrichedOperators:
-    """Integrate the matrices of selected unknowns of the cubic functions.
+    """Integrate the finite-element matrices of selected unknowns of the cubic functions.
 
-    The mask ``free`` (count, d) selects displacements, and the mask ``live`` (count,) potentials.
+    The mask ``free`` (count, d) selects displacements. The mask ``live`` (count,) selects
+    potentials.
     """
     solid, d = enrichment.solid, enrichment.solid.components
     nodes, size = solid.basis(1).element_dofs, solid.places.shape[1]
@@ -241,10 +249,10 @@ def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> lis
 def _number_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Number the functions of all elements, and determine their signs.
+    """Return the numbers and the signs of the cubic functions of all elements.
 
-    Both results are (local functions, elements). On an edge or face between two elements, the
-    functions of both elements have the same number.
+    Both arrays have the shape (local functions, elements). On an edge or face between two elements,
+    the functions of both elements have the same number.
     """
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
     element = np.arange(corners.shape[1])
@@ -260,7 +268,7 @@ def _number_functions(
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
-    """Return the local numbers of the nodes on the edge, face or interior of each function."""
+    """Return, for each function, the local numbers of nodes on its edge, face or interior."""
     places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
     result = []
     for function in functions:
@@ -279,8 +287,9 @@ def _tabulate_functions(
 ) -> np.ndarray:
     """Return the gradients and values of all local functions on the reference element.
 
-    The result is (local functions, d + 1, points). The functions of nodes come first, and the value
-    of a function is its last row.
+    The array has the shape (local functions, d + 1, points). The shape functions of the nodes
+    precede the cubic functions. Along the second axis, the d components of the gradient precede the
+    value.
     """
     element, rows = solid.element, []
     for i in range(len(element.doflocs)):
@@ -291,7 +300,10 @@ def _tabulate_functions(
 
 
 def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield materials and groups of elements whose matrices need at most ``CHUNK_BYTES``."""
+    """Yield each material with groups of its elements.
+
+    The element matrices of a group need at most ``CHUNK_BYTES`` bytes.
+    """
     count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.components + 1) ** 2)))
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
@@ -302,12 +314,12 @@ def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Materia
 def _compute_element_matrices(
     solid: Solid, material: Material, cells: np.ndarray, table: np.ndarray, n: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the matrices S and M of elements of one material.
+    """Compute the element stiffness matrices S and mass matrices M of elements of one material.
 
-    S is (elements, cubic functions, fields, functions, fields), and M is (elements, cubic
-    functions, functions). The ``n`` functions of nodes precede the cubic functions. The fields are
-    the displacements and, in piezoelectric and dielectric materials, the potential. The matrices
-    are computed from products of gradients on the reference element.
+    S has the shape (elements, cubic functions, fields, functions, fields). M has the shape
+    (elements, cubic functions, functions). The shape functions of the ``n`` nodes precede the cubic
+    functions. The fields are the displacement components and, in piezoelectric and dielectric
+    materials, the potential. S is computed from products of gradients on the reference element.
     """
     rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
@@ -322,7 +334,7 @@ def _compute_element_matrices(
     M = material.density * (weights @ pairs.T).reshape(len(cells), -1, len(table))
     gradients = table if solid.axisymmetric else table[:, :-1]
     pairs = np.einsum("amq,bpq->qmpab", gradients[n:], gradients)
-    if even and not solid.axisymmetric:  # one product of gradients for all points
+    if even and not solid.axisymmetric:  # the gradient products of all points are summed first
         pairs = np.tensordot(weights[0] / weights[0].sum(), pairs, 1)[None]
         weights, inverse, constants = weights.sum(axis=1)[:, None], inverse[:, :1], constants[:1]
     D = _compute_reference_tensor(solid, material, weights, inverse, constants, radius)
@@ -342,8 +354,9 @@ def _compute_reference_tensor(
 ) -> np.ndarray:
     """Compute second derivatives of the energy with respect to gradients on the reference element.
 
-    The result is (elements, points, field, m, field, m) for the m components of the gradient of
-    each field. In axisymmetric solids, the last component is the value of the field.
+    The array has the shape (elements, points, fields, m, fields, m), where m is the number of
+    gradient components of each field. In axisymmetric solids, the value of the field is appended as
+    the last gradient component.
     """
     d = solid.components
     field = material.piezoelectric or material.dielectric
@@ -367,7 +380,8 @@ def _compute_reference_tensor(
     result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
     result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
     sigma = np.array(material.residual_stress)
-    # prestress: grad v . sigma grad u of each component, and rotation of the hoop direction
+    # Prestress sigma contributes grad v . sigma grad u for each displacement component. In
+    # axisymmetric solids, it also contributes a hoop term.
     if sigma.any():
         stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
         for k in range(d):
@@ -378,27 +392,30 @@ def _compute_reference_tensor(
 
 
 def _number_selected_entries(mask: np.ndarray) -> np.ndarray:
-    """Number the selected entries of a mask consecutively; all other entries get -1."""
+    """Return consecutive numbers for the selected entries of a mask, and -1 for all others."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
 def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Look up the unknowns of functions by the numbers of the functions.
+    """Look up the numbers of the unknowns of the functions ``numbers`` (elements, functions).
 
-    The result is (elements, local functions times components). Unknowns that are not selected are
-    -1.
+    The array has the shape (elements, local functions times components). An unknown that is not
+    selected has the number -1.
     """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 
 
 class _SparseSum:
-    """Sparse matrix to which the matrices of elements are added."""
+    """Sparse matrix to which element matrices are added."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.matrix = sparse.csr_array(shape)
 
     def add(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
-        """Add ``values`` (elements, rows, columns); rows and columns of -1 are omitted."""
+        """Add the entries ``values`` (elements, rows, columns) of element matrices.
+
+        Entries whose row or column number is -1 are omitted.
+        """
         i = np.broadcast_to(rows[:, :, None], values.shape)
         j = np.broadcast_to(columns[:, None, :], values.shape)
         present = (i >= 0) & (j >= 0)

@@ -1,14 +1,14 @@
-"""Heat conduction in solids: matrices over the nodes of a mesh.
+"""Finite-element matrices of heat conduction in solids.
 
-The equation of heat conduction is ``rho c T' = div(k grad T) + p``. The heat flow through a face
-with a film is ``h (T - T_film)`` [W/m^2]. The weak form has these matrices for the temperatures T
-of the nodes:
+The equation of heat conduction is ``rho c T' = div(k grad T) + p``, where p is the heat source
+density [W/m^3]. The heat flux through a face with the film coefficient h is ``h (T - T_film)``
+[W/m^2]. The weak form has these matrices for the nodal temperatures T, with test functions v:
 
     E   = int rho c v T          K = int grad v . k grad T          H = int v T over faces
 
 Axisymmetric integrals extend over the full turn. In one dimension, ``areas`` are the cross-sections
-of the elements. An interface with the resistance r [m^2 K/W] consists of two sets of nodes, between
-which the heat flow ``(T_a - T_b) / r`` passes.
+of the elements. A thermal interface with the resistance r [m^2 K/W] has nodes on both of its sides.
+The heat flux from side a to side b is ``(T_a - T_b) / r``.
 
 Source: J. N. Reddy, D. K. Gartling, The Finite Element Method in Heat Transfer and Fluid Dynamics,
 3rd ed., CRC Press 2010, chapter 3.
@@ -28,16 +28,18 @@ from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
 MAX_CANDIDATES = 50  # number of nearest elements in which a point is searched
-INSIDE_TOLERANCE = 1e-6  # rounding error of a point's local coordinates in an element
+# largest distance, in local coordinates, of a point outside of an element that counts as inside
+INSIDE_TOLERANCE = 1e-6
 NEWTON_STEPS = 20  # more iterations than any point inside an element needs
 FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
 @dataclass(frozen=True, eq=False)
 class HeatSolid:
-    """Mesh whose element ``k`` consists of ``materials[geometry.owner[k]]``.
+    """Mesh with thermal materials; element ``k`` consists of ``materials[geometry.owner[k]]``.
 
-    ``areas`` (elements,) [m^2] are the cross-sections of the elements of a line; None for solids.
+    ``areas`` (elements,) [m^2] are the cross-sections of line elements, and None for other
+    elements.
     """
 
     geometry: Solid
@@ -50,21 +52,22 @@ class HeatSolid:
         return int(self.geometry.places.shape[1])
 
     def compute_weights(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
-        """Return the weights (cells, points) of volume integrals."""
+        """Return the weights (cells, points) of integration points for volume integrals."""
         weights = np.asarray(basis.dx)
         if self.geometry.axisymmetric:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         return weights if self.areas is None else weights * self.areas[cells, None]
 
     def find_adjacent_cells(self, facets: np.ndarray) -> np.ndarray:
-        """Return one element adjacent to each of the ``facets``."""
+        """Return, for each of the ``facets``, the number of one adjacent element."""
         return np.asarray(self.geometry.mesh.f2t[0, facets])
 
 
 def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the shape functions at each integration point of a basis.
+    """Yield the shape functions of all elements at each integration point of a basis.
 
-    Each item consists of values (cells, l) and gradients (cells, d, l).
+    For each integration point, the values have the shape (cells, l) and the gradients (cells, d,
+    l), where l is the number of local functions.
     """
     local = [function[0] for function in basis.basis]
     for q in range(basis.X.shape[-1]):
@@ -81,7 +84,7 @@ def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarra
 
 
 def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]:
-    """Return heat capacities E [J/K] and conductances K [W/K], both (nodes, nodes)."""
+    """Return the matrices (nodes, nodes) of heat capacity [J/K] and thermal conductance [W/K]."""
     capacities, conductances = [], []
     for material, cells in _split_chunks(solid):
         basis = solid.geometry.basis(elements=cells)
@@ -100,7 +103,10 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix H (nodes, nodes) [m^2] of faces; the sum of its entries is the area."""
+    """Return the matrix H (nodes, nodes) [m^2] of ``int v T`` over faces.
+
+    The sum of the entries of H is the area of the faces.
+    """
     basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
     weights, nodes = (
         solid.compute_weights(basis, solid.find_adjacent_cells(facets)),
@@ -116,7 +122,7 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
     """Compute the local coordinates (axes, 1) of a point in a cell by Newton's method.
 
     The iteration starts in the middle of the cell. For a point far outside of a distorted cell, the
-    iteration ends without convergence.
+    iteration does not converge, and the last iterate is returned.
     """
     mapping, which = mesh.mapping(), np.array([cell])
     places = np.asarray(point, float)[:, None, None]
@@ -132,9 +138,9 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
 
 
 def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
-    """Return the values (nodes,) of the shape functions at a point.
+    """Return the values (nodes,) of the shape functions of all nodes at a point.
 
-    For a point outside of the mesh, only the value of the nearest node is not zero.
+    For a point outside of the mesh, the value is 1 at the nearest node and 0 at all other nodes.
     """
     geometry, result = solid.geometry, np.zeros(solid.count)
     mesh = geometry.mesh
@@ -154,10 +160,10 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
 
 
 def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
-    """Return the mesh with two nodes in place of each node on inner ``facets``.
+    """Return the mesh with each node on inner ``facets`` duplicated, one node per side.
 
-    Two elements keep a common node if they are connected by faces that are not in ``facets``, as
-    around the tip of a crack.
+    Two elements keep a common node if they are connected by faces that are not in ``facets``, for
+    example around the tip of a crack.
     """
     numbers = np.array(geometry.basis(1).element_dofs)
     count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
@@ -184,7 +190,10 @@ def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 
 
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix of ``int (v_a - v_b) (T_a - T_b)`` [m^2] across inner ``facets``."""
+    """Return the matrix [m^2] of ``int (v_a - v_b) (T_a - T_b)`` over inner ``facets``.
+
+    T_a and T_b are the temperatures on both sides of the facets, v_a and v_b the test functions.
+    """
     geometry = solid.geometry
     first, second = (
         geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
@@ -199,7 +208,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
 
 
 def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the faces between elements of a first set and elements of a second set."""
+    """Return the numbers of the faces between the elements ``first`` and ``second``."""
     sides = geometry.mesh.f2t
     inner = sides[1] >= 0
     a, b = np.isin(sides, first), np.isin(sides, second)
@@ -207,7 +216,10 @@ def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) ->
 
 
 def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
-    """Return the numbers of the nodes on faces; at a double face, those on its first side."""
+    """Return the numbers of the nodes on faces.
+
+    If a face has duplicated nodes, only the nodes on its first side are returned.
+    """
     basis = geometry.facet_basis(facets, 2)
     values = np.max([np.abs(N) for N, _ in list_local_functions(basis)], axis=0)
     return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

@@ -1,27 +1,29 @@
-"""Force, flux and inductance of the electromagnetic catch over the height of the sphere.
+"""Force, flux and inductance of the electromagnetic catch versus the height of the sphere.
 
 The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, where A_phi
-is the vector potential. It is smooth and even in r, so no boundary condition is necessary on the
-axis. With ``b(a) = 2 a + r da/dr``, the field is ``B_y = b(a)``, ``B_r = -r da/dy``. The potential
-energy is ::
+is the vector potential. The unknown a is smooth and even in r, so no boundary condition is
+necessary on the axis. With ``b(a) = 2 a + r da/dr``, the field is ``B_y = b(a)``, ``B_r = -r
+da/dy``. The potential energy is ::
 
     P(a) = 1/2 int nu (B_r^2 + B_y^2) dV - int nu B_rem b(a) dV - int J r a dV,   dV = 2 pi r dr dy
 
-The solution has the smallest P, with ``a = 0`` on the air cylinder (paper 2.2.1). The force on the
+where nu is the reluctivity, B_rem the remanence and J the current density. The solution minimises P
+with ``a = 0`` on the surface of the air cylinder (section 2.2.1 of the paper). The force on the
 sphere is ``-dP/dy``. In this derivative, the air around the sphere moves by g dy, where the weight
 g is 1 on the sphere and 0 on the mover's outline. This virtual work of the discrete energy equals
 the Maxwell stress averaged over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach,
 COMPEL 23(4), 2004).
 
 The materials are linear, so the fields of four sources superpose at each height: ring magnet,
-sphere magnet, and a current in each coil. One factorisation and four right-hand sides give the
-result for every current (paper 2.2.1 solves 369 cases instead). All elements are assembled once.
+sphere magnet, and a current in each coil. One factorisation with four right-hand sides gives the
+force and flux for all currents; section 2.2.1 of the paper solves 369 cases instead. All element
+matrices are assembled once.
 
 A new mesh for each position of the sphere would cost time and add noise to the force. Therefore the
 box around the sphere (the *mover*) is meshed only once, symmetric about the sphere's equator. The
-other region (the *stator*) is also meshed once, with a regular lattice in the bore. The nodes on
-the mover's outline are nodes of the lattice. At each height of the sphere, the mover replaces cells
-of the lattice.
+region outside of this box (the *stator*) is also meshed once, with a regular lattice in the bore.
+The nodes on the mover's outline are nodes of the lattice. At each height of the sphere, the mover
+replaces cells of the lattice.
 """
 
 from __future__ import annotations
@@ -49,10 +51,11 @@ from kc2spice.linalg.factor import Factor, factorise_supernodal
 
 # smallest number of heights that are also solved on a mesh with elements of twice the size
 MIN_COMPARED_HEIGHTS = 5
-RING, SPHERE, LOWER, UPPER = range(4)  # indices of loads and of their fields
-# Mesh sizes at refine = 1 as fractions of the sphere's radius, and their growth with distance. With
-# these sizes, the force error is within 1e-5 of the largest force. The mesh around the parts has
-# the largest effect: an uneven mesh in the far field of the sphere causes a spurious force.
+RING, SPHERE, LOWER, UPPER = range(4)  # column numbers of the load vectors and of the fields
+# Element sizes at refine = 1, as fractions of the sphere's radius, and growth of the element size
+# with distance. With these sizes, the force error is at most 1e-5 of the largest force. The mesh
+# around magnets and coils affects this error most, because an uneven mesh in the far field of the
+# sphere causes a spurious force.
 _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
     1 / 8,
     1 / 8,
@@ -65,26 +68,27 @@ _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
 def compute_catch_table(
     catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> EMTable:
-    """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
+    """Compute force, flux and inductance at ``catch.positions`` heights of the sphere.
 
-    ``progress`` receives the completed share after each height. Some heights are also solved on a
-    mesh with elements of twice the size.
+    The heights extend from ``y_min`` to ``y_max``. ``progress`` receives the completed share after
+    each height. Some heights are also solved on a mesh with elements of twice the size.
 
     Raises
     ------
-    UsageError : the sphere leaves the air cylinder, or a part is higher.
-    SimulationError : a field does not satisfy its equations.
+    UsageError : the sphere leaves the air cylinder, or magnet and coils are together higher than
+        the air cylinder.
+    SimulationError : a computed field does not satisfy the field equations.
     """
     positions = count_compared_positions(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
-    rough = catch.model_copy(update=settings)  # not possible by the keys of a scene
+    rough = catch.model_copy(update=settings)  # a scene cannot set refine below 1
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
 def count_compared_positions(count: int) -> int:
-    """Choose the number of heights at which the field is compared with a coarser mesh.
+    """Choose the number of heights at which the field is also solved on a coarser mesh.
 
-    The number is at least five. The chosen heights are equally spaced among ``count`` heights.
+    At least five heights are chosen. The chosen heights are equally spaced among ``count`` heights.
     """
     return next(
         (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
@@ -94,7 +98,7 @@ def count_compared_positions(count: int) -> int:
 def _sweep_heights(
     catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> EMTable:
-    """Compute the table of :func:`compute_catch_table` on one mesh."""
+    """Compute force, flux and inductance at all heights with one element size."""
     y = list_sphere_heights(catch)
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
@@ -108,7 +112,7 @@ def _sweep_heights(
     sign = get_ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
-    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
+    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms of each source and magnets
     force = (
         forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
         2 * magnets[:, LOWER],
@@ -128,51 +132,54 @@ def _sweep_heights(
 
 
 def list_sphere_heights(catch: Catch) -> np.ndarray:
-    """Return the heights of the sphere's centre [m] in the table."""
+    """Return the heights of the sphere's centre [m] at which the force is tabulated."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
 def get_ring_direction(catch: Catch) -> float:
-    """Return the direction of the ring's magnetisation: 1 along the sphere's (+y), otherwise -1."""
+    """Return 1 if ring and sphere have the same direction of magnetisation, otherwise -1."""
     return 1.0 if catch.polarity == "parallel" else -1.0
 
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Equations at one height: ``matrix a = loads`` for the ``free`` unknowns among n unknowns."""
+    """Field equations ``matrix a = loads`` at one height of the sphere.
+
+    The equations apply to the ``free`` unknowns among all n unknowns.
+    """
 
     matrix: sparse.csc_array
     loads: np.ndarray  # (n, 4)
     free: np.ndarray
-    mover: np.ndarray  # unknowns of the mover
-    stretch: sparse.csr_array  # force = -1/2 a' stretch a, with the unknowns a of the mover
+    mover: np.ndarray  # numbers of the mover's unknowns
+    stretch: sparse.csr_array  # force = -1/2 a' stretch a, where a are the mover's unknowns
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Solve for the fields (n, k) of the loads (n, k).
+        """Return the fields (n, k) that the loads (n, k) cause.
 
         Raises
         ------
-        SimulationError : the fields do not satisfy their equations.
+        SimulationError : the fields do not satisfy the field equations.
         """
         a = np.zeros(loads.shape)
-        # minimum degree ordering, because nested dissection would cost more than the factorisation
+        # minimum degree ordering, because nested dissection takes longer than the factorisation
         factor = Factor(self.matrix, factorise_supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
-        """Compute the matrix ``Q`` (k, k) [N] of the force by fields ``a`` (n, k).
+        """Compute the matrix ``Q`` (k, k) [N] that gives the force for the fields ``a`` (n, k).
 
-        For fields with amplitudes q (k,), the force is ``q' Q q``.
+        For a superposition of the fields with amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
 
 
 def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
-    """Yield the index and the equations of each height.
+    """Yield the index and the field equations of each height of the sphere.
 
-    Heights that differ by a multiple of the lattice's pitch have the same meshes.
+    Heights that differ by a multiple of the lattice pitch have the same meshes.
     """
     y = list_sphere_heights(catch)
     pitch = choose_lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
@@ -187,7 +194,7 @@ def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEq
 
 @dataclass(frozen=True, eq=False)
 class ElementMatrices:
-    """Element matrices of one mesh, and the rows and columns of their entries.
+    """Element matrices of one mesh, and the row and column numbers of their entries.
 
     The entries ``local[:, e]`` of element e are in the rows ``rows[:, e]`` and columns
     ``cols[:, e]`` of the assembled matrix.
@@ -197,14 +204,14 @@ class ElementMatrices:
     rows: np.ndarray
     cols: np.ndarray
     local: np.ndarray
-    loads: np.ndarray  # (n, 4): ring and sphere magnet, 1 A in the lower and in the upper coil
+    loads: np.ndarray  # (n, 4): loads of ring, sphere, and 1 A in the lower and in the upper coil
 
 
 def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations]:
-    """Mesh and assemble stator and mover for the lattice ``bore``.
+    """Return a function that assembles the field equations at a height of the sphere.
 
-    The result is a function. Its argument is the height [m] of the sphere's centre, which must be a
-    lattice point, and it returns the equations at this height.
+    Stator and mover are meshed once, for the lattice ``bore``. The argument of the returned
+    function is the height [m] of the sphere's centre, which must be the height of a lattice point.
     """
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
@@ -212,8 +219,8 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # The force is -1/2 a' stretch a [N]. It is evaluated in the air where the weight g varies: g is
-    # 1 in the sphere, 0 on the mover's outline, and harmonic in between.
+    # The force is -1/2 a' stretch a [N]. The integral extends over the air in which the weight g
+    # varies: g is 1 in the sphere, 0 on the mover's outline, and harmonic in between.
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
@@ -275,9 +282,10 @@ def _assemble_mesh(
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
 ) -> ElementMatrices:
-    """Assemble a mesh with the elements ``magnet``, and the loads of ``sources``.
+    """Compute the element matrices of a mesh and the load vectors of ``sources``.
 
-    Each source has a column of the loads, and consists of a linear form, a factor, and elements.
+    The elements ``magnet`` have the permeability of the magnets. ``sources`` are keyed by column of
+    the loads. Each source consists of a linear form, its factor, and a mask of elements.
     """
     basis = _make_basis(mesh)
     loads = np.zeros((basis.N, 4))
@@ -307,7 +315,10 @@ def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Return the derivative of the stiffness if all points move by ``g`` in the direction y."""
+    """Return the derivative of the stiffness with respect to a shift of all points.
+
+    Each point moves by the weight ``g`` at this point, in the direction y.
+    """
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     shear = g_r * r * (u.grad[1] * bv + bu * v.grad[1])
@@ -316,28 +327,28 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return ``int b(v) dV``, the load of an axial ``nu B_rem`` of 1 A/m."""
+    """Return ``int b(v) dV``, the load that an axial ``nu B_rem`` of 1 A/m causes."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
 def _current_load(v: Any, w: Any) -> np.ndarray:
-    """Return ``int A_phi 2 pi r dr dy``, the load of a current density of 1 A/m^2.
+    """Return ``int A_phi 2 pi r dr dy``, the load that a current density of 1 A/m^2 causes.
 
-    The product of this load and a field is the flux linkage of one turn/m^2.
+    The product of this load and a field is the flux linkage for one turn per square metre.
     """
     return 2 * pi * w.x[0] ** 2 * v
 
 
 @dataclass(frozen=True)
 class Bore:
-    """Regular lattice of cells in which the sphere moves; lengths in m.
+    """Regular lattice of cells in the bore, in which the sphere moves; lengths in m.
 
-    ``bottom`` is the lowest line of the lattice, which consists of ``rows`` rows of cells with the
-    height ``pitch``. In each row, ``columns`` cells extend from the axis to ``wall``. The mover
-    extends by ``half`` above and below the sphere's centre. All mesh sizes are fractions of
-    ``size``.
+    ``bottom`` is the height of the lowest line of the lattice. The lattice consists of ``rows``
+    rows of cells with the height ``pitch``. In each row, ``columns`` cells extend from the axis to
+    the radius ``wall``. The mover extends by ``half`` above and below the sphere's centre. All
+    element sizes are fractions of ``size``. ``radius`` is the radius of the sphere.
     """
 
     radius: float
@@ -356,18 +367,21 @@ def list_actuator_sections(catch: Catch) -> tuple[Ring, Ring, Ring]:
 
 
 def get_section(part: Ring) -> tuple[float, float, float, float]:
-    """Return the section of a part: r_min, y_min, r_max, y_max [m]."""
+    """Return the limits r_min, y_min, r_max, y_max [m] of a part's rectangular section."""
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
 
 def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
-    """Return the section of the air cylinder, centred on the actuator (paper 2.2.1)."""
+    """Return the limits [m] of the air cylinder's section, which is centred on the actuator.
+
+    Source: section 2.2.1 of the paper.
+    """
     boxes = list(map(get_section, list_actuator_sections(catch)))
     _, bottoms, _, tops = zip(*boxes, strict=True)
     low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
-        expected = f"more than {high - low:g} m, several times that for a small error"
-        problem = "the air cylinder is lower than the magnet and the coils inside it"
+        expected = f"more than {high - low:g} m; for a small field error, several times that height"
+        problem = "the air cylinder is not as high as the magnet and the coils inside it"
         raise wrong(
             "catch.air_height",
             problem,
@@ -380,14 +394,17 @@ def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
 
 
 def choose_lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
-    """Choose a height of lattice cells [m] that is a multiple or a fraction of ``spacing``."""
+    """Choose the height of lattice cells [m] as a multiple or fraction of ``spacing``.
+
+    ``spacing`` [m] is the distance between consecutive heights of the sphere.
+    """
     target = min(_LATTICE_SIZE * radius, _compute_narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
 def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
-    """Make the lattice for heights of the sphere's centre from ``lowest`` to ``highest``.
+    """Return the lattice for heights of the sphere's centre from ``lowest`` to ``highest``.
 
     Raises
     ------
@@ -413,14 +430,14 @@ def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest:
 
 
 def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
-    """Mesh the meridian half-plane around the lattice with triangles."""
+    """Mesh the stator, the meridian half-plane with the lattice in its bore, with triangles."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(get_section, list_actuator_sections(catch)))
     shapes = [get_air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def size(r: float, y: float) -> float:
-        """Return the size of elements at the point ``r``, ``y``."""
+        """Return the element size [m] at the point ``r``, ``y``."""
         to_corner = min(hypot(r - a, y - b) for a, b in corners)
         to_part = min(
             hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]
@@ -444,10 +461,10 @@ def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
 
 
 def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
-    """Mesh a box around a sphere at the origin.
+    """Mesh the mover, a box around a sphere at the origin.
 
-    The second result is a mask of the triangles inside the sphere. Triangle edges on the surface of
-    the sphere are curved: their middle nodes lie on the circle.
+    The second returned array is a mask of the triangles inside the sphere. Triangle edges on the
+    surface of the sphere are curved: the middle nodes of these edges lie on the circle.
     """
     outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
     outline += [(0, bore.half), (0, bore.radius)]
@@ -462,7 +479,7 @@ def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
         gmsh.model.mesh.setTransfiniteCurve(lines[2], round(bore.half / bore.pitch) + 1)
         gmsh.model.mesh.setTransfiniteCurve(lines[3], bore.columns + 1)
         points, triangles = _generate_mesh(gmsh, lambda r, y: _SPHERE_SIZE * bore.size)
-    # The mesh is completed by its mirror image in y = 0. Both halves share the nodes on this line.
+    # The mesh is completed by its mirror image about y = 0. Both halves share the nodes on y = 0.
     on_line = np.abs(points[1]) < 1e-9 * np.ptp(points[1])
     points = np.where(on_line, [points[0], np.zeros_like(points[0])], points)
     image = np.arange(points.shape[1])
@@ -480,14 +497,17 @@ def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
 
 
 def _compute_narrowest_gap(catch: Catch, radius: float) -> float:
-    """Return the gap [m] between the sphere and the part with the smallest bore."""
+    """Return the radial gap [m] between the sphere and the smallest bore of magnet and coils."""
     return min(map(attrgetter("inner"), list_actuator_sections(catch))) - radius
 
 
 def _generate_mesh(
     gmsh: ModuleType, size: Callable[[float, float], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the surfaces of the gmsh model; return vertices (2, n) and triangles (3, t)."""
+    """Mesh the surfaces of the gmsh model; return vertices (2, n) and triangles (3, t).
+
+    ``size(r, y)`` is the element size at the point ``r``, ``y``.
+    """
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: size(x, y))
     gmsh.model.mesh.generate(2)

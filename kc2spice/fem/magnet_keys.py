@@ -1,6 +1,6 @@
-"""Keys of the catch actuator: ring magnet, two coils and air box.
+"""Scene keys of the catch actuator: ring magnet, two coils and air cylinder.
 
-Source: paper tables 1 and A1.
+Source: tables 1 and A1 of the paper.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kc2spice.core.quantities import (
 
 
 class Ring(Section):
-    """Body of revolution with a rectangular section; ``y`` is the height of its centre."""
+    """Ring with a rectangular section; ``y`` is the height of the ring's centre."""
 
     height: Length = Field(gt=0, description="Axial height of the ring")
     outer: Length = Field(gt=0, description="Outer radius of the ring")
@@ -30,7 +30,7 @@ class Ring(Section):
 
 
 class Catch(Section):
-    """Electromagnetic catch actuator (paper tables 1 and A1)."""
+    """Electromagnetic catch actuator (tables 1 and A1 of the paper)."""
 
     polarity: Literal["parallel", "antiparallel"] = Field(
         "parallel",
@@ -47,10 +47,10 @@ class Catch(Section):
     resistivity: Resistivity = Field(
         1.7e-8, gt=0, description="Resistivity of the wire of the coils"
     )
-    air_radius: Length = Field(10e-3, gt=0, description="Radius of the modelled air")
-    air_height: Length = Field(30e-3, gt=0, description="Height of the modelled air")
-    y_min: Length = Field(-2.5e-3, description="Lowest height of the force table")
-    y_max: Length = Field(7.5e-3, description="Greatest height of the force table")
+    air_radius: Length = Field(10e-3, gt=0, description="Radius of the modelled air cylinder")
+    air_height: Length = Field(30e-3, gt=0, description="Height of the modelled air cylinder")
+    y_min: Length = Field(-2.5e-3, description="Lowest sphere height in the force table")
+    y_max: Length = Field(7.5e-3, description="Greatest sphere height in the force table")
     shift: Length = Field(
         0.0,
         gt=-1e-3,

@@ -1,10 +1,11 @@
-"""Eddy currents in a conducting body of revolution between coaxial coils: rings and modes.
+"""Eddy currents in a conducting body of revolution between coaxial coils.
 
-The body is divided into rings of rectangular section, which are thin below its surfaces if the skin
-depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``. L
-and R are constant. Only the mutual inductances m depend on the height y of the body. With the modes
-``R v = rate L v``, ``v' L v = 1``, the body is equivalent to a set of current loops of 1 H and
-``rate`` Ohm. The coupling of the loops to the coils is ``v' m(y)``.
+The body is divided into rings of rectangular section. If the skin depth is small, the rings below
+the surfaces of the body are thin. For the currents i of the rings and j of the coils, ``L di/dt + R
+i = -d/dt m j``. The inductances L and the resistances R of the rings are constant. Only the mutual
+inductances m of rings and coils depend on the height y of the body. With the modes ``R v = rate L
+v``, ``v' L v = 1``, the body is equivalent to a set of current loops of 1 H and ``rate`` Ohm. The
+mutual inductances of the loops and the coils are ``v' m(y)``.
 """
 
 from __future__ import annotations
@@ -24,23 +25,25 @@ from kc2spice.core.quantities import MU_0
 
 # number of heights (Chebyshev points) at which the couplings of coils and rings are computed
 HEIGHT_NODES = 40
-SELF_DIVISIONS = 24  # divisions of the longer side of a coil, for its self-inductance
-MUTUAL_DIVISIONS = 16  # divisions of the longer side of a section, for the mutual inductance
+SELF_DIVISIONS = 24  # number of cells along the longer side of a coil, for its self-inductance
+MUTUAL_DIVISIONS = 16  # number of Gauss points along the longer side, for mutual inductances
 MIN_FILL = 0.02  # smallest conducting share of a section; a ring below this share is omitted
-AXIS_CELLS = 4  # distance from the axis, in cells, below which sections have four points
+# distance from the axis, in cell widths, below which four points of a section are evaluated
+AXIS_CELLS = 4
 GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
 # Distance of two sections, relative to their longest side, above which the distance of their
 # centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
 LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
-LAYER_GROWTH = 1.35  # ratio of the thickness of a layer to the thickness of the layer above
-# largest number of rings of a sphere if 400 rings are requested; a sphere has no layers at its skin
+LAYER_GROWTH = 1.35  # thickness of a layer, relative to the adjacent layer nearer to the surface
+# Largest number of rings of a sphere if 400 rings are requested. A sphere needs more rings, because
+# it has no thin layers below its surface.
 MAX_SPHERE_RINGS = 1500
-MAX_RINGS = 3000  # largest number of rings; each dense matrix then has 70 MB
+MAX_RINGS = 3000  # largest number of rings; each dense matrix then occupies 70 MB
 # number of heights and frequencies at which the loops are compared with loops of finer rings
 COMPARED_HEIGHTS = 5
-SLOPE_STEP = 1e-4  # step of a numerical slope, relative to the range of heights
+SLOPE_STEP = 1e-4  # height step of finite differences, relative to the range of heights
 
 
 def compute_mutual_inductance(
@@ -49,14 +52,14 @@ def compute_mutual_inductance(
     """Compute the mutual inductance [H] of two coaxial circles; arguments broadcast.
 
     The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
-    The result is infinite if the circles coincide. Source: Maxwell, A Treatise on Electricity and
-    Magnetism, art. 701.
+    The mutual inductance is infinite if the circles coincide. Source: Maxwell, A Treatise on
+    Electricity and Magnetism, art. 701.
     """
     from scipy.special import ellipe, ellipkm1
 
     apart = (z - height) ** 2
     across = (r + other) ** 2 + apart
-    # K is computed as a function of 1 - k^2, which is accurate also for close circles
+    # The elliptic integral K is computed from 1 - k^2, so that it is accurate for close circles too
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
     result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
     return np.asarray(MU_0 * np.sqrt(across) * result)
@@ -66,8 +69,8 @@ def compute_mutual_inductance(
 class RingCells:
     """Rings with rectangular sections of the size ``wide`` (n,) times ``tall`` (n,) [m].
 
-    The middles of the sections are at ``r`` (n,) and ``z`` (n,). The shares ``filled`` (n,) of the
-    sections carry current.
+    The centres of the sections are at the radii ``r`` (n,) [m] and the heights ``z`` (n,) [m].
+    ``filled`` (n,) are the shares of the sections that carry current.
     """
 
     r: np.ndarray
@@ -78,15 +81,15 @@ class RingCells:
 
     @cached_property
     def inductance(self) -> np.ndarray:
-        """Inductances (n, n) [H] of currents that are uniform over each section.
+        """Self- and mutual inductances (n, n) [H] for a uniform current in each section.
 
         The formula for circles contains a logarithm, which is replaced by its mean over both
         sections (J. C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term of the
-        formula is evaluated between the centres of both sections. Near the axis, where this term is
-        less smooth, it is evaluated between four points of each section.
+        formula is evaluated between the centres of both sections. Near the axis, this other term is
+        less smooth, and it is averaged over four points of each section.
         """
         r, z = self.r, self.z
-        logs = self._mean_logarithms
+        logs = self._mean_log_distances
         result, near = _compute_mean_mutual(r, z, r, z, logs), r < AXIS_CELLS * self.wide
         steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS_POINTS, GAUSS_POINTS)]
         part = np.zeros((np.count_nonzero(near), r.size))
@@ -97,8 +100,8 @@ class RingCells:
         return result
 
     @cached_property
-    def _mean_logarithms(self) -> np.ndarray:
-        """Mean logarithms (n, n) of the distance between points of two sections."""
+    def _mean_log_distances(self) -> np.ndarray:
+        """Mean logarithms (n, n) of the distance [m] between the points of two sections."""
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
         longest = np.maximum(self.wide, self.tall)
@@ -118,7 +121,10 @@ class RingCells:
 def _compute_mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute :func:`compute_mutual_inductance` (n, m) with mean logarithms ``logs``."""
+    """Compute mutual inductances (n, m) [H] of sections from those of circles.
+
+    ``logs`` (n, m) are the mean logarithms of the distance between points of the sections.
+    """
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
     distance = np.where(same, 1.0, np.hypot(r - other, z - height))
@@ -134,9 +140,9 @@ def _compute_mean_log_distance(
 ) -> np.ndarray:
     """Compute the mean logarithm of the distance between points of two rectangles.
 
-    The rectangles have the sides ``a``, ``b`` and ``c``, ``d``. Their centres are ``x`` and ``y``
-    apart along the two sides. The mean is the fourth difference of the fourfold integral of
-    ``ln(x^2 + y^2) / 2``.
+    One rectangle has the sides ``a`` along x and ``b`` along y, the other has the sides ``c`` and
+    ``d``. The distance of the two centres is ``x`` along x and ``y`` along y. The mean is the
+    fourth difference of the fourfold integral of ``ln(x^2 + y^2) / 2``.
     """
     result = np.zeros_like(x)
     ends = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
@@ -157,10 +163,10 @@ def divide_section(
     inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     depth: float = np.inf,
 ) -> RingCells:
-    """Divide a section into about ``count`` nearly square cells.
+    """Divide a rectangular section into about ``count`` nearly square cells.
 
-    If the cells are not small compared with the skin ``depth`` [m], there are thinner cells below
-    the surfaces. The part of a cell in which ``inside(r, z)`` is true carries current.
+    The cells below the surfaces are thinner unless all cells are small compared with the skin
+    ``depth`` [m]. Only the part of a cell in which ``inside(r, z)`` is true carries current.
     """
     wide, tall = outer - inner, high - low
     thinnest = depth / LAYERS_PER_DEPTH * np.sqrt(DEFAULT_RINGS / count)
@@ -168,10 +174,10 @@ def divide_section(
         most = min(MAX_SPHERE_RINGS * count / DEFAULT_RINGS, MAX_RINGS)
         count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
-    # at least three layers, because the skin effect occurs across the thinnest side
+    # _divide_length makes at least three cells, because skin effect occurs across the shortest side
     across = inner + _divide_length(wide, side, thinnest, 2 if inner else 1)
     along = low + _divide_length(tall, side, thinnest, 2)
-    r, z = _make_grid_points(_midpoints(across), _midpoints(along))
+    r, z = _make_grid_points(_compute_midpoints(across), _compute_midpoints(along))
     a, b = _make_grid_points(np.diff(across), np.diff(along))
     if inside is None:
         return RingCells(r, z, a, b, np.ones(r.size))
@@ -187,16 +193,17 @@ def _make_grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
-def _midpoints(edges: np.ndarray) -> np.ndarray:
+def _compute_midpoints(edges: np.ndarray) -> np.ndarray:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Divide a length into cells of about ``side``, and thin layers below surfaces.
+    """Divide a length into cells of about ``side``, with thinner layers below surfaces.
 
-    There are layers if the cells are thicker than ``thinnest``, the thickness of the first layer.
-    Each layer is thicker than the layer above. If ``surfaces`` is 1, the layers are below the upper
-    end; if it is 2, they are at both ends.
+    The edges of the cells and layers are returned. There are layers only if the cells are thicker
+    than ``thinnest``, the thickness of the outermost layer. Each layer is thicker than its outer
+    neighbour. If ``surfaces`` is 1, the layers are at the upper end; if it is 2, they are at both
+    ends.
     """
     count = max(3, round(length / side))
     if thinnest >= length / count:
@@ -213,7 +220,11 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
 
 @dataclass(frozen=True)
 class Winding:
-    """Winding with uniform ``turns`` in a rectangular section centred at ``radius`` and ``y``."""
+    """Coaxial winding with uniformly distributed ``turns`` in a rectangular section.
+
+    The centre of the section is at ``radius`` [m] and the height ``y`` [m]. The section has the
+    size ``width`` times ``height`` [m].
+    """
 
     radius: float
     width: float
@@ -235,7 +246,7 @@ class Winding:
         return RingCells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def couple_circles(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Compute the mutual inductances [H] with circles of radius ``r`` at the heights ``z``."""
+        """Compute mutual inductances [H] with circles of radius ``r`` at the heights ``z``."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
@@ -246,10 +257,10 @@ class Winding:
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def couple_sheet(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
-        """Compute the mutual inductances [H] (n,) with a sheet at several heights.
+        """Compute the mutual inductances (n,) [H] with a current sheet at several heights.
 
-        The sheet is a winding without width. It is moved up by each of the ``heights`` (n,), and
-        integrated with Gauss points along its height.
+        The sheet is a winding of zero width, which is moved up by each of the ``heights`` (n,) [m].
+        The integral along the height of the sheet uses Gauss points.
         """
         x, p = np.polynomial.legendre.leggauss(MUTUAL_DIVISIONS)
         z = heights[:, None] + sheet.y + sheet.height / 2 * x
@@ -260,8 +271,8 @@ class Winding:
     def couple_winding(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
-        For two equal windings, the result is the self-inductance. Source for the inductance of a
-        sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
+        For two equal windings, this is the self-inductance. Source for the self-inductance of a
+        winding of zero width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """
         if other == self and not self.width:
             from scipy.special import ellipe, ellipkm1
@@ -277,14 +288,19 @@ class Winding:
 
 @dataclass(frozen=True, eq=False)
 class LoopModel(EqualByContent):
-    """Conducting body as loops of 1 H and ``rates`` (k,) [Ohm], which are for 1 S/m.
+    """Conducting body represented by k current loops, coupled to c coils.
 
-    ``inductance`` (c, c) [H] is the inductance of the coils. ``couplings`` (c, k, degree + 1), or
-    with magnets (c + 1, k, degree + 1), are coefficients of polynomials in ``2 (y - low) / (high -
-    low) - 1``, lowest power first. ``error`` is the largest effect of additional loops on the flux
-    of the coils and on the force up to ``frequency`` [Hz], relative to the largest values.
-    ``rings`` is the number of rings of the body. ``ring_error`` estimates the error of flux, force
-    and loss that the division into rings causes.
+    Each loop has the inductance 1 H. ``rates`` (k,) [Ohm] are the resistances of the loops for a
+    conductivity of 1 S/m. ``inductance`` (c, c) [H] is the inductance matrix of the coils.
+
+    ``couplings`` (c, k, degree + 1) are the mutual inductances of coils and loops as polynomials in
+    ``2 (y - low) / (high - low) - 1``, coefficients of the lowest power first. With magnets, the
+    shape is (c + 1, k, degree + 1), and the last row is the flux of the magnets.
+
+    ``error`` is the effect of additional loops on the coils' flux and on the force, up to
+    ``frequency`` [Hz] and relative to the largest flux and force. ``rings`` is the number of rings
+    of the body. ``ring_error`` estimates the error of flux, force and loss that the division into
+    rings causes.
     """
 
     rates: np.ndarray
@@ -299,16 +315,16 @@ class LoopModel(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Numbers of rings and loops, and errors of both, keyed by name."""
+        """Number of rings, number of loops, and both error estimates, keyed by name."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
         return known | {f"{MESH_ERROR_PREFIX}rings": self.ring_error, "loop_error": self.error}
 
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
-        """Compute the effect of the body's currents on the coils at ``heights`` [m].
+        """Compute the effect of the body's currents on the coils at ``heights`` [m] of the body.
 
-        The Laplace variable is ``s`` [1/s].
+        ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is that of the body.
         """
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
@@ -324,15 +340,17 @@ class LoopModel(EqualByContent):
 class CurrentEffect(EqualByContent):
     """Effect of the body's currents on the coils, per ampere in a coil.
 
-    ``flux`` (c, c, y) [H] is the reduction of the flux in the coils. ``slope`` (c, c, y) [H/m] is
-    the derivative of ``flux`` for a body whose height changes relative to the first coil only.
+    The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
+    reduction of the flux in the first coil per ampere in the second coil. ``slope`` (c, c, heights)
+    [H/m] is the derivative of ``flux`` for a body whose height changes relative to the first coil
+    only.
     """
 
     flux: np.ndarray
     slope: np.ndarray
 
     def find_largest_difference(self, exact: CurrentEffect) -> float:
-        """Return the largest relative difference of flux, slope, and loss of any coil."""
+        """Return the largest relative difference in flux, slope and loss between two effects."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -346,10 +364,11 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Compare loops with a direct solution for the rings ``body`` of another division.
+    """Return the largest difference between loops and the rings ``body`` of another division.
 
-    The result is the largest relative difference up to the frequency of the loops, as computed by
-    :meth:`CurrentEffect.find_largest_difference`.
+    The currents in the rings are solved for directly, at several heights and frequencies up to the
+    frequency of the loops. :meth:`CurrentEffect.find_largest_difference` defines the relative
+    difference.
     """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(COMPARED_HEIGHTS)
@@ -373,7 +392,10 @@ def compare_rings(
 def _compute_couplings(
     body: RingCells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
 ) -> np.ndarray:
-    """Compute mutual inductances (c, y, n) [H] of rings with each coil and with all magnets."""
+    """Compute mutual inductances (c, heights, n) [H] of coils and rings at the ``heights`` [m].
+
+    If there are magnets, the sum of their mutual inductances is appended as a last row.
+    """
     at = body.r, body.z + heights[:, None]
     m = [coil.couple_circles(*at) for coil in coils]
     if magnets:
@@ -391,20 +413,21 @@ def reduce_to_loops(
     frequency: float,
     tolerance: float,
 ) -> LoopModel:
-    """Reduce a ``body`` to few current loops.
+    """Reduce the rings of a ``body`` to a few current loops.
 
-    The loops are accurate at the heights from ``low`` to ``high`` [m] up to a ``frequency`` [Hz].
-    The number of loops is as small as the ``tolerance`` allows. The loops are modes in a subspace
-    of the body's currents. The subspace contains the responses to each coil, and to the magnets, at
-    several heights and frequencies. Each magnet is a winding whose turns are the surface current in
-    amperes, and its coupling to the loops is a flux [Wb].
+    The loops are accurate at heights of the body from ``low`` to ``high`` [m] and up to a
+    ``frequency`` [Hz]. The number of loops is the smallest that satisfies the ``tolerance``. The
+    loops are modes in a subspace of the body's currents. This subspace contains the currents that
+    each coil and the magnets cause, at several heights and frequencies. A magnet is represented by
+    a winding whose ``turns`` are its surface current [A]. The coupling of a magnet to a loop is a
+    flux [Wb].
 
     Raises
     ------
-    UsageError : the couplings are not smooth functions of the height, for example if body and
-        coil touch.
+    UsageError : the couplings of coils and loops are not smooth functions of the height, for
+        example if body and coil touch.
     """
-    nodes, heights = _chebyshev_heights(low, high)
+    nodes, heights = _list_chebyshev_heights(low, high)
     inductance = _compute_coil_inductance(coils)
     m = _compute_couplings(body, coils, magnets, heights)
     from scipy.linalg import eigh
@@ -413,7 +436,7 @@ def reduce_to_loops(
     couplings = m @ modes
     couplings /= np.linalg.norm(couplings, axis=2).max(axis=1)[:, None, None]
     speeds = 2 * np.pi * frequency * conductivity * np.geomspace(1e-3, 1, 13)
-    basis, error = _compute_subspace(rates, couplings, speeds, nodes, tolerance)
+    basis, error = _compute_current_basis(rates, couplings, speeds, nodes, tolerance)
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
     result = m @ modes @ basis @ turn
     polynomials = _fit_power_series(nodes, result, tolerance)
@@ -428,32 +451,33 @@ def make_current_loop(
     high: float,
     tolerance: float,
 ) -> LoopModel:
-    """Return a body with one loop, whose current distribution is constant: ``sheets``.
+    """Return the loop model of a body with a constant current distribution.
 
-    :func:`reduce_to_loops` describes the other arguments.
+    ``sheets`` are the current sheets of this distribution, which is one loop. See
+    :func:`reduce_to_loops` for the other arguments.
 
     Raises
     ------
-    UsageError : the couplings are not smooth functions of the height, for example if body and
-        coil touch.
+    UsageError : the couplings of coils and loop are not smooth functions of the height, for example
+        if body and coil touch.
     """
-    nodes, heights = _chebyshev_heights(low, high)
+    nodes, heights = _list_chebyshev_heights(low, high)
 
-    def linked_flux(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the flux of all sheets through ``windings``."""
+    def compute_flux_linkage(windings: Sequence[Winding]) -> np.ndarray:
+        """Return the flux linkage of all sheets and ``windings`` at each height."""
         return sum(
             starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
             np.zeros(HEIGHT_NODES),
         )
 
-    m = [linked_flux([coil]) for coil in coils]
+    m = [compute_flux_linkage([coil]) for coil in coils]
     if magnets:
-        m.append(linked_flux(magnets))
+        m.append(compute_flux_linkage(magnets))
     polynomials = _fit_power_series(nodes, np.array(m)[:, :, None], tolerance)
     return LoopModel(np.empty(0), polynomials, _compute_coil_inductance(coils), low, high, 0.0, 0)
 
 
-def _chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+def _list_chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the Chebyshev points between -1 and 1, and the corresponding heights [m]."""
     nodes = chebyshev.chebpts1(HEIGHT_NODES)
     return nodes, low + (nodes + 1) * (high - low) / 2
@@ -463,13 +487,14 @@ def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
     return np.array([list(map(a.couple_winding, coils)) for a in coils])
 
 
-def _compute_subspace(
+def _compute_current_basis(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the currents, and the largest error of this basis.
+    """Compute an orthonormal basis of the body's currents, and its largest relative error.
 
-    The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every second
-    angular frequency of ``speeds``. The error is evaluated at all frequencies.
+    The basis approximates the currents that coils with the couplings ``mutual`` (c, heights, n)
+    cause at every second frequency of ``speeds``. The error of flux and force is evaluated at all
+    frequencies.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
@@ -498,7 +523,7 @@ def _compute_subspace(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute the Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
+    """Compute the Chebyshev coefficients (m, c, k) of ``values`` (c, m, k) at m points."""
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
     result = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
@@ -507,10 +532,10 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Fit power series (c, k, degree + 1) to ``values`` (c, NODES, k).
+    """Fit power series (c, k, degree + 1) to ``values`` (c, m, k) at m Chebyshev points.
 
-    The degree is the smallest for which the error of each coil's slopes is below a tenth of the
-    ``tolerance``.
+    The degree is the smallest that keeps the error of the slopes below a tenth of the
+    ``tolerance`` for each coil.
     """
     c = _fit_chebyshev(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial
@@ -520,14 +545,14 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
         (n for n in range(2, nodes.size) if tails[n + 1 :].max(initial=0.0) < tolerance / 10), 0
     )
     if not 0 < degree < 3 * nodes.size // 4:
-        got = f"a polynomial of degree {nodes.size} misses their slopes by "
+        got = "a polynomial fit with the relative slope error "
         got += f"{tails[3 * nodes.size // 4].max():.1g}"
         hint = (
             f"raise the key tolerance, now {tolerance:g}, or choose y_min and y_max further from "
             "the windings"
         )
         problem = "the magnetic coupling changes too fast with the height"
-        raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
+        raise wrong(None, problem, got, f"a slope error below {tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = list(map(chebyshev.cheb2poly, flat.T))
     powers = np.array([np.pad(item, (0, degree + 1 - item.size)) for item in series])

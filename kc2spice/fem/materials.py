@@ -1,20 +1,22 @@
-"""Materials: a library with sources, tables of the user, and rotated tensors.
+"""Piezoelectric and elastic materials from the library or from tables of a scene.
 
 Interface::
 
-    material("PZT-5A")                       # from the library, -> Material
+    material("PZT-5A")                       # Material from the library
     material({"density": 8530, "youngs_modulus": "100 GPa", "poisson_ratio": 0.35})
     material({"like": "PZT-5A", "quality": 90})
-    pzt.poled((0, 0, -1))                    # tensors in the axes of the body
+    pzt.poled((0, 0, -1))                    # material poled along -z of the body
     pzt.C, pzt.e, pzt.eps_S                  # (6, 6) Pa, (3, 6) C/m^2, (3, 3) F/m
 
-The components are in Voigt order xx yy zz yz xz xy, with engineering shear strains. Every
-:class:`Material` has constants in the stress-charge form of IEEE Std 176-1987, at constant field
-and constant strain:
+The tensor components are in Voigt order xx yy zz yz xz xy, with engineering shear strains. Every
+:class:`Material` has constants in the stress-charge form of IEEE Std 176-1987: stiffness at
+constant electric field, and permittivity at constant strain. With the stress T, the strain S, the
+electric field E and the electric displacement D:
 
     T = C S - e' E,   D = e S + eps_S E.
 
-A table in strain-charge form, with compliance s, coupling d and permittivity eps_T, is converted by
+A table in strain-charge form contains the compliance s, the coupling d and the permittivity eps_T
+at constant stress. Such a table is converted by
 
     C = s^-1,   e = d C,   eps_S = eps_T - e C^-1 e'.
 """
@@ -53,10 +55,11 @@ from kc2spice.core.quantities import (
     si,
 )
 
-TENSOR_ROUNDING = 1e-12  # rounding error of a tensor, relative to its largest component
+TENSOR_ROUNDING = 1e-12  # largest rounding error of a tensor, relative to its largest component
 
-# Point groups in data sheets, and the symmetry class below with the same free components. "32" is
-# the group of quartz, "6mm" the group of poled ceramics; 3m has other piezoelectric components.
+# Symmetry classes of _FREE_COMPONENTS, keyed by the point groups in data sheets that have the same
+# free components. Quartz has the point group "32", and poled ceramics have "6mm". The point group
+# 3m is missing, because it has other piezoelectric components.
 _POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
@@ -64,20 +67,20 @@ _POINT_GROUPS = {
 }  # fmt: skip
 Symmetry: TypeAlias = Annotated[
     Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"],
-    BeforeValidator(lambda said: _POINT_GROUPS.get(said, said) if isinstance(said, str) else said),
+    BeforeValidator(lambda name: _POINT_GROUPS.get(name, name) if isinstance(name, str) else name),
 ]
 
-# Free components of stiffness and coupling in each symmetry class, with the components equal to
-# them.
+# Free components of stiffness and coupling in each symmetry class. An item such as "14=-24=56"
+# contains a free component and the components that are equal to it or to its negative.
 _FREE_COMPONENTS = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
     "trigonal": ("11=22 12 13=23 14=-24=56 33 44=55 66", "11=-12=-26 14=-25"),
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
-_DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Groups of keys that describe the same property. A table with one key of a group inherits no other
-# key of this group.
+_SYMMETRIES_WITH_DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
+# Alternative forms of the elasticity and of the coupling; each form consists of one or more keys. A
+# table with a key of one form inherits no key of the other forms.
 _ALTERNATIVE_KEYS = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
@@ -86,21 +89,21 @@ _ALTERNATIVE_KEYS = (
 
 @dataclass(frozen=True)
 class CylindricalAxes:
-    """Cylindrical coordinates: the direction of their axis and a ``point`` [m] on it."""
+    """Cylindrical coordinates with the direction of their ``axis`` and a ``point`` [m] on it."""
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
+        """Return rotation matrices (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
 
-        The columns of each rotation are the radial, hoop and axial unit vectors.
+        The columns of each matrix are the radial, hoop and axial unit vectors.
         """
         axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
         arm = places - np.asarray(self.point)
         arm = arm - np.outer(arm @ axial, axial)
         size = np.linalg.norm(arm, axis=1, keepdims=True)
-        # any radial direction for places on the axis
+        # for places on the axis, any direction perpendicular to the axis is radial
         other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
         radial = np.where(size > 0, arm, other / np.linalg.norm(other))
         radial = radial / np.where(size > 0, size, 1.0)
@@ -110,37 +113,46 @@ class CylindricalAxes:
 
 @dataclass(frozen=True, eq=False)
 class ElementAxes(EqualByContent):
-    """Material axes of each element of a mesh: ``rotations`` (elements, 3, 3), axes as columns."""
+    """Material axes of each element of a mesh.
+
+    The columns of the matrices ``rotations`` (elements, 3, 3) are the material axes.
+    """
 
     rotations: np.ndarray
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return the rotations (n, 3, 3) to the material axes of ``elements`` (n,)."""
+        """Return rotation matrices (n, 3, 3) to the material axes of ``elements`` (n,)."""
         return np.asarray(self.rotations[elements])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Material(EqualByContent):
-    """Linear (piezo)elastic material in stress-charge form, in the axes of the body.
+    """Linear elastic or piezoelectric material in stress-charge form.
+
+    All tensors are in the axes of the body, or in ``local_axes``.
 
     Attributes
     ----------
     name : name in the library, or the name that the user chose.
-    density : kg/m^3.
-    C : (6, 6) stiffness at constant field [Pa], Voigt order xx yy zz yz xz xy.
-    e : (3, 6) piezoelectric stress coefficients [C/m^2], zero of other materials.
+    density : mass density [kg/m^3].
+    C : (6, 6) stiffness at constant electric field [Pa], in Voigt order xx yy zz yz xz xy.
+    e : (3, 6) piezoelectric stress coefficients [C/m^2], zero for materials without
+        piezoelectricity.
     eps_S : (3, 3) permittivity at constant strain [F/m], by default the permittivity of vacuum.
-    conductor : whether the material has no electric field; its faces to insulators are electrodes.
+    conductor : whether the electric field is zero in the material; faces between the material and
+        insulators are then electrodes.
     quality, loss_tangent : mechanical Q factor and dielectric loss tangent, None if unknown.
-    tensile_strength : largest principal stress [Pa], None if unknown.
-    depoling_field, breakdown_field : largest field [V/m] against the poling and in any direction,
-        None if unknown.
-    residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must bear.
-    axis : (3,) unit vector of the material's z axis (the poling of a ceramic) in the axes of the
-        body.
-    dielectric : whether there is a field between electrodes, with or without piezoelectricity.
-    local_axes : material axes that depend on the position, None for the axes of the body. All
-        tensors are in these axes: for example, in radial, hoop and axial directions.
+    tensile_strength : largest principal stress [Pa] that the material withstands, None if unknown.
+    depoling_field, breakdown_field : largest electric field [V/m] opposite to the poling, and in
+        any direction; None if unknown.
+    residual_stress : (3,) normal stresses [Pa] along x, y and z in the body at rest, in equilibrium
+        with the forces of the supports.
+    axis : (3,) unit vector along the material's z axis (the poling of a ceramic), in the axes of
+        the body.
+    dielectric : whether the model includes the electric field between electrodes, with or without
+        piezoelectricity.
+    local_axes : material axes that depend on the position, for example radial, hoop and axial
+        directions; None for the axes of the body.
     """
 
     name: str
@@ -170,7 +182,11 @@ class Material(EqualByContent):
 
     @property
     def isotropic_about_z(self) -> bool:
-        """Whether rotations by 30 and 45 degrees about z change all constants by at most 2 %."""
+        """Whether the material is isotropic about z.
+
+        Rotations by 30 and 45 degrees about z must change all tensors by at most 2 % of their
+        largest components.
+        """
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
             rotated = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
@@ -185,7 +201,8 @@ class Material(EqualByContent):
     def couples_planes(self) -> bool:
         """Whether motion in a plane through z causes motion or polarisation out of the plane.
 
-        This is so if a component of a tensor changes its sign by reflection in the plane.
+        This coupling exists if a nonzero tensor component changes its sign under reflection in the
+        plane.
         """
         out, within, C, e = [3, 5], [0, 1, 2, 4], np.abs(self.C), np.abs(self.e)
         elastic = C[np.ix_(out, within)].max() > TENSOR_ROUNDING * C.max()
@@ -194,10 +211,10 @@ class Material(EqualByContent):
     def at(
         self, places: np.ndarray, elements: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
+        """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3) at places.
 
-        The tensors are given in the axes of the body, at ``places`` (n, 3) [m] in the ``elements``
-        (n,). Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
+        The tensors at ``places`` (n, 3) [m] in the ``elements`` (n,) are returned in the axes of
+        the body. Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -213,10 +230,11 @@ class Material(EqualByContent):
 
     @property
     def indentation_modulus(self) -> float:
-        """Indentation modulus [Pa] of a half-space along z without electric fields.
+        """Indentation modulus [Pa] along z of a half-space, without electric fields.
 
-        The material must be isotropic about z. For a fully isotropic material, the modulus is
-        E / (1 - nu^2). Source: Delafargue and Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
+        The material must be isotropic about z. For a fully isotropic material with Young's modulus
+        E and Poisson's ratio nu, the indentation modulus is E / (1 - nu^2). Source: Delafargue and
+        Ulm, Int. J. Solids Structures 41 (2004), eq. 13.
         """
         c11, c13, c33, c44 = self.C[0, 0], self.C[0, 2], self.C[2, 2], self.C[3, 3]
         mean = np.sqrt(c11 * c33)
@@ -231,8 +249,8 @@ class Material(EqualByContent):
     def rotated(self, R: np.ndarray) -> Material:
         """Return the material rotated by ``R`` (3, 3): axis i then points along ``R[:, i]``.
 
-        Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
-        (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
+        With Bond's matrix M(R) for stress, the rotated tensors are ``M C M'``, ``R e M'`` and ``R
+        eps R'`` (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
         """
         M = compute_bond_matrix(R)
         return replace(
@@ -246,15 +264,16 @@ class Material(EqualByContent):
     def poled(self, direction: Sequence[float]) -> Material:
         """Return the material with its z axis (the poling of a ceramic) along ``direction``.
 
-        The rotation has the smallest angle; to -z it is half a turn about x.
+        The material is rotated by the smallest possible angle. If the direction is -z, it is
+        rotated by half a turn about x.
         """
         return self.rotated(compute_poling_rotation(direction))
 
 
 def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Compute the rotation (3, 3) of z to a ``direction`` by the smallest angle.
+    """Compute the matrix (3, 3) that rotates z to a ``direction`` by the smallest angle.
 
-    The rotation to -z is half a turn about x.
+    If the direction is -z, the rotation is half a turn about x.
     """
     n = np.asarray(direction, float) / np.linalg.norm(direction)
     if n[2] < -1 + 1e-14:
@@ -267,10 +286,10 @@ _VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
-    """Return the Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for Voigt stresses.
+    """Return the Bond matrices M (…, 6, 6) of rotation matrices R (…, 3, 3).
 
-    Column J is the Voigt vector of ``R T_J R'``, where T_J is the symmetric tensor whose Voigt
-    vector is the unit vector J.
+    M rotates the Voigt vector of a stress. Column J of M is the Voigt vector of ``R T_J R'``, where
+    T_J is the symmetric tensor whose Voigt vector is the unit vector J.
     """
     M = np.empty((*R.shape[:-2], 6, 6))
     for J, (k, l) in enumerate(_VOIGT_PAIRS):
@@ -282,16 +301,16 @@ def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
     return M
 
 
-def _validate_components(unit: str) -> BeforeValidator:
-    """Return a validator for a tensor of named components or nested lists.
+def _make_component_validator(unit: str) -> BeforeValidator:
+    """Return a validator for a tensor that is written as named components or nested lists.
 
-    Each number in the tensor may have a unit.
+    Each component may have a unit, and is converted to ``unit``.
     """
     return BeforeValidator(partial(_convert_to_unit, unit))
 
 
 def _convert_to_unit(unit: str, value: object) -> object:
-    """Convert all quantities in nested mappings and lists to numbers in ``unit``."""
+    """Return a nested mapping or list with all quantities converted to numbers in ``unit``."""
     if isinstance(value, Mapping):
         return {str(key): _convert_to_unit(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -310,27 +329,28 @@ _ELASTIC_KEYS = ("youngs_modulus", "stiffness", "compliance")
 
 
 def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomError:
-    """Make the error of an unknown material ``name`` of the key ``like``."""
+    """Make the error for a key ``like`` with the ``name`` of an unknown material."""
     expected = f"one of {list_candidates(name, known, 'docs/reference/materials.md')}"
     hint = did_you_mean(name, known) or f'write for example  like = "{known[0]}"'
     return invalid_value_error("this material does not exist", expected, "like", hint)
 
 
 class MaterialTable(Section):
-    """Constants of a material in a scene or the library.
+    """Constants of a material in a scene or in the library.
 
-    :meth:`build` makes the tensors. One of these keys or pairs of keys gives the elasticity:
+    :meth:`build` makes the tensors from the constants. The elasticity has one of these forms:
 
-    * ``youngs_modulus`` and ``poisson_ratio``: isotropic, or orthotropic with three moduli, ``nu_xy
-      nu_yz nu_xz`` and ``shear_modulus``,
-    * ``stiffness``: components ``c11``… with a ``symmetry``, or a 6 by 6 list,
+    * ``youngs_modulus`` and ``poisson_ratio`` of an isotropic material. An orthotropic material has
+      three Young's moduli, the ratios ``nu_xy``, ``nu_yz`` and ``nu_xz``, and ``shear_modulus``.
+    * ``stiffness``: components ``c11``… with a ``symmetry``, or a 6 by 6 list.
     * ``compliance``: components ``s11``… with a ``symmetry``, or a 6 by 6 list.
 
-    Either ``stress_coupling`` (``e31``…) or ``strain_coupling`` (``d31``…) gives the piezoelectric
-    components, as names with values or as a 3 by 6 list. The relative ``permittivity`` has the
-    components ``eps11``, ``eps22`` and ``eps33``, or is a 3 by 3 list. The table of a piezoelectric
-    material must state whether the permittivity is at constant ``stress`` or ``strain``. If the
-    table has the key ``like``, it inherits all constants that it omits from this library material.
+    Either ``stress_coupling`` (``e31``…) or ``strain_coupling`` (``d31``…) contains the
+    piezoelectric components, as names with values or as a 3 by 6 list. The relative
+    ``permittivity`` has the components ``eps11``, ``eps22`` and ``eps33``, or is a 3 by 3 list. In
+    the table of a piezoelectric material, the key ``permittivity_at`` must state whether the
+    permittivity was measured at constant ``stress`` or ``strain``. A table with the key ``like``
+    inherits the constants that it omits from the library material of that name.
     """
 
     like: str | None = Field(
@@ -341,28 +361,31 @@ class MaterialTable(Section):
     symmetry: Symmetry | None = Field(
         None, description="Crystal symmetry of the components, or a point group such as 6mm or 32"
     )
-    youngs_modulus: Annotated[_Modulus, _validate_components("Pa")] | None = Field(
+    youngs_modulus: Annotated[_Modulus, _make_component_validator("Pa")] | None = Field(
         None, description="Young's modulus: one value, or three values along x, y and z"
     )
-    poisson_ratio: Annotated[float | dict[str, float], _validate_components("")] | None = Field(
-        None, description="Poisson's ratio: one value, or the three values nu_xy, nu_yz and nu_xz"
+    poisson_ratio: Annotated[float | dict[str, float], _make_component_validator("")] | None = (
+        Field(
+            None,
+            description="Poisson's ratio: one value, or the three values nu_xy, nu_yz and nu_xz",
+        )
     )
-    shear_modulus: Annotated[dict[str, float], _validate_components("Pa")] | None = Field(
+    shear_modulus: Annotated[dict[str, float], _make_component_validator("Pa")] | None = Field(
         None, description="Shear moduli g_yz, g_xz and g_xy, required with three Young's moduli"
     )
-    stiffness: Annotated[_Tensor, _validate_components("Pa")] | None = Field(
+    stiffness: Annotated[_Tensor, _make_component_validator("Pa")] | None = Field(
         None, description="Stiffness components c11, c12, … at constant electric field"
     )
-    compliance: Annotated[_Tensor, _validate_components("1/Pa")] | None = Field(
+    compliance: Annotated[_Tensor, _make_component_validator("1/Pa")] | None = Field(
         None, description="Compliance components s11, s12, … at constant electric field"
     )
-    stress_coupling: Annotated[_Tensor, _validate_components("C/m2")] | None = Field(
+    stress_coupling: Annotated[_Tensor, _make_component_validator("C/m2")] | None = Field(
         None, description="Piezoelectric components e31, e33, … (stress per electric field)"
     )
-    strain_coupling: Annotated[_Tensor, _validate_components("C/N")] | None = Field(
+    strain_coupling: Annotated[_Tensor, _make_component_validator("C/N")] | None = Field(
         None, description="Piezoelectric components d31, d33, … (strain per electric field)"
     )
-    permittivity: Annotated[_Tensor, _validate_components("")] | None = Field(
+    permittivity: Annotated[_Tensor, _make_component_validator("")] | None = Field(
         None, description="Relative permittivity components eps11, eps22 and eps33"
     )
     permittivity_at: Literal["stress", "strain"] | None = Field(
@@ -405,7 +428,7 @@ class MaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add the properties of the material ``like`` that the table omits."""
+        """Add properties that the table omits, from the material that its key ``like`` names."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
         if str(data["like"]) not in _load_tables():
@@ -424,7 +447,7 @@ class MaterialTable(Section):
         return result
 
     @model_validator(mode="after")
-    def _require_one_form(self) -> MaterialTable:
+    def _require_consistent_keys(self) -> MaterialTable:
         elastic = [self.youngs_modulus, self.stiffness, self.compliance]
         if elastic.count(None) != 2:
             stated = [key for key in _ELASTIC_KEYS if getattr(self, key) is not None]
@@ -470,12 +493,12 @@ class MaterialTable(Section):
         return self
 
     def build(self, name: str) -> Material:
-        """Build the material, with tensors in stress-charge form.
+        """Build the material ``name`` from the constants, with tensors in stress-charge form.
 
         Raises
         ------
-        UsageError : components are missing or unknown, units are implausible, or a matrix is not
-        positive definite.
+        UsageError : components are missing or unknown, values are implausible in their unit, or a
+            tensor is not positive definite.
         """
         C, e = self._build_stiffness(), np.zeros((3, 6))
         if self.stress_coupling is not None:
@@ -486,7 +509,7 @@ class MaterialTable(Section):
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
-        _require_definite(eps, "permittivity at constant strain", hint)
+        _require_positive_definite(eps, "permittivity at constant strain", hint)
         stated = {}
         for key in set(type(self).model_fields) & set(Material.__dataclass_fields__):
             if getattr(self, key) is not None:
@@ -502,9 +525,11 @@ class MaterialTable(Section):
                 if self.compliance is None
                 else self._build_tensor("compliance", "s")
             )
-            _require_definite(s, "youngs_modulus" if self.compliance is None else "compliance")
+            _require_positive_definite(
+                s, "youngs_modulus" if self.compliance is None else "compliance"
+            )
             C = np.linalg.inv(s)
-        _require_definite(C, "stiffness")
+        _require_positive_definite(C, "stiffness")
         largest = float(np.diag(C).max())
         if not 1e3 <= largest <= 2e12:  # a wrong unit, such as Pa instead of GPa
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
@@ -512,11 +537,15 @@ class MaterialTable(Section):
                 hint = f'write  youngs_modulus = "{self.youngs_modulus:g} GPa"'
             problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
-        _require_possible_density(self.density, largest)
+        _reject_implausible_density(self.density, largest)
         return (C + C.T) / 2
 
     def _compute_engineering_compliance(self) -> np.ndarray:
-        """Compute the compliance from Young's moduli and ratios ``nu_ij = -S_jj/S_ii``."""
+        """Compute the compliance (6, 6) from the moduli and Poisson's ratios.
+
+        In Poisson's ratio ``nu_ij = -S_jj/S_ii``, S_jj and S_ii are the strains along j and i that
+        a stress along i causes.
+        """
         E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
         if isinstance(E_keys, float) and isinstance(nu, float) and G is None:
@@ -533,7 +562,7 @@ class MaterialTable(Section):
         else:
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
-            hint = "for an isotropic material, leave out shear_modulus"
+            hint = "for an isotropic material, delete shear_modulus"
             if isinstance(E_keys, float) and nu is None and G is None:
                 hint = "add  poisson_ratio = 0.3"
             values = {"youngs_modulus": E_keys, "poisson_ratio": nu, "shear_modulus": G}
@@ -568,9 +597,9 @@ class MaterialTable(Section):
         if values is None:
             return np.eye(3)
         if isinstance(values, list):
-            return _require_shape(values, (3, 3), "permittivity")
+            return _convert_to_matrix(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
-            expected = "eps11, and eps22 or eps33 where they differ from it"
+            expected = "eps11, and also eps22 or eps33 if its value differs from eps11"
             problem = "these keys are not the components of a permittivity"
             hint = "write  permittivity = { eps11 = VALUE, eps33 = VALUE }"
             raise wrong("permittivity", problem, ", ".join(values), expected, hint)
@@ -578,26 +607,30 @@ class MaterialTable(Section):
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
     def _build_tensor(self, key: str, letter: str) -> np.ndarray:
-        """Make a tensor from lists, or from the free components of the symmetry class.
+        """Return the tensor of a ``key`` from lists, or from components of the symmetry class.
 
-        The letter selects stiffness ``c`` (6, 6), compliance ``s`` (6, 6), or coupling ``e`` or
-        ``d`` (3, 6).
+        The ``letter`` of the component names is ``c`` for stiffness (6, 6), ``s`` for compliance
+        (6, 6), and ``e`` or ``d`` for coupling (3, 6).
         """
         values, elastic = getattr(self, key), letter in "cs"
         shape = (6, 6) if elastic else (3, 6)
         if isinstance(values, list):
-            return _require_shape(values, shape, key)
+            return _convert_to_matrix(values, shape, key)
         if self.symmetry not in _FREE_COMPONENTS:
             expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
             raise wrong(
                 key,
-                "single components of a tensor need the key symmetry",
+                "named components of a tensor need the key symmetry",
                 self.symmetry,
                 expected,
                 'add  symmetry = "6mm"  for a poled ceramic',
             )
         first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
-        if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
+        if (
+            elastic
+            and self.symmetry in _SYMMETRIES_WITH_DERIVED_66
+            and {first, second} <= set(values)
+        ):
             factor = 0.5 if letter == "c" else 2.0
             values = {last: factor * (values[first] - values[second]), **values}
         free = _FREE_COMPONENTS[self.symmetry][0 if elastic else 1]
@@ -618,13 +651,17 @@ class MaterialTable(Section):
             for place in group:
                 row, column = int(place[-2]) - 1, int(place[-1]) - 1
                 matrix[row, column] = values[letter + group[0]] * (-1 if place[0] == "-" else 1)
-        if self.symmetry == "trigonal" and letter in "sd":  # engineering shear: s56 = 2 s14
-            matrix[4 if elastic else 1, 5] *= 2  # and d26 = -2 d11
+        # with engineering shear strains, s56 = 2 s14 and d26 = -2 d11
+        if self.symmetry == "trigonal" and letter in "sd":
+            matrix[4 if elastic else 1, 5] *= 2
         return np.triu(matrix) + np.triu(matrix, 1).T if elastic else matrix
 
 
-def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
-    """Check the shape of a tensor's rows, and the symmetry of a square tensor."""
+def _convert_to_matrix(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
+    """Return the matrix of a tensor's ``rows``.
+
+    An error is raised if the matrix has another ``shape``, or is square but not symmetric.
+    """
     if list(map(len, rows)) != [shape[1]] * shape[0]:
         got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
@@ -648,21 +685,22 @@ def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) ->
     return matrix
 
 
-MAX_SOLID_DENSITY = 22_600.0  # kg/m3, osmium
-MAX_WAVE_SPEED = 30e3  # m/s; diamond has 18 km/s
+MAX_SOLID_DENSITY = 22_600.0  # kg/m3, density of osmium, the densest solid
+MAX_WAVE_SPEED = 30e3  # m/s, above the 18 km/s of diamond, the fastest solid
 
 
-def _require_possible_density(density: float, stiffness: float) -> None:
-    """Reject a density in a wrong unit: of a heavier solid, or with too fast waves.
+def _reject_implausible_density(density: float, stiffness: float) -> None:
+    """Reject a density that is probably in a wrong unit.
 
-    The speed of waves is the root of ``stiffness / density``.
+    Such a density exceeds the density of every solid, or makes the wave speed in the material too
+    high. The wave speed is the square root of ``stiffness / density``.
     """
     speed = float(np.sqrt(stiffness / density))
     if density > MAX_SOLID_DENSITY:
-        problem, limit = "this density is higher than of any solid", MAX_SOLID_DENSITY
+        problem, limit = "this density exceeds the density of every solid", MAX_SOLID_DENSITY
         expected, factor = f"at most {limit:g} kg/m3", 1e-3
     elif speed > MAX_WAVE_SPEED:
-        problem = f"with this density, waves in the material have {speed / 1e3:.3g} km/s"
+        problem = f"this density is too low: the wave speed would be {speed / 1e3:.3g} km/s"
         expected, factor = f"at least {stiffness / MAX_WAVE_SPEED**2:.3g} kg/m3", 1e3
     else:
         return
@@ -671,8 +709,8 @@ def _require_possible_density(density: float, stiffness: float) -> None:
     raise wrong("density", problem, f"{density:g} kg/m3", expected, hint)
 
 
-def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
-    """Check that a matrix is positive definite after its diagonal is scaled to one."""
+def _require_positive_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
+    """Reject a matrix that is not positive definite after its diagonal is scaled to one."""
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())
     if smallest > 0:
@@ -690,20 +728,22 @@ def _load_tables() -> dict[str, dict[str, Any]]:
 
 @cache
 def _list_library_names() -> dict[str, str]:
-    """Return the names of the library's materials, keyed by lower-case name."""
+    """Return the names of the library's materials, keyed by the name in lower case."""
     return dict(zip(map(str.lower, _load_tables()), _load_tables(), strict=True))
 
 
 @cache
 def _load_material(name: str) -> Material:
-    """Return a material of the library."""
+    """Return the library material with this ``name``."""
     return MaterialTable.model_validate(_load_tables()[name]).build(name)
 
 
 def material(
     name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
 ) -> Material:
-    """Return a material of the library by its name, in upper or lower case, or from a table.
+    """Return the material with a name in the library, or the material of a table.
+
+    Names of the library may be written in upper or lower case.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Functions that read mesh and CAD files with gmsh in a separate process, and return arrays."""
+"""Functions that read mesh and CAD files with gmsh, and return arrays.
+
+:mod:`kc2spice.fem.mesh_file` calls them in a separate process.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from kc2spice.fem.mesh_formats import MESHIO_READERS, merge_file
 ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
 # largest distance of an entity from the point that selects it, relative to the body's size
 PICK_TOLERANCE = 1e-6
-# Numbers of corners of the supported elements, keyed by their dimension.
+# Possible numbers of corners of the supported elements, keyed by the elements' dimension.
 CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
 ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
 MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
@@ -30,29 +33,32 @@ Picks = Mapping[str, Mapping[str, Any]]
 def extract_mesh(
     file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
 ) -> dict[str, np.ndarray]:
-    """Extract nodes, elements and physical groups of a file.
+    """Extract nodes, elements and physical groups of a mesh or CAD file.
 
-    ``name`` is the user's name of the file.
+    ``name`` is the file name that errors contain. ``splits`` is the number of times that every edge
+    is halved.
 
-    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` selects the
-    groups of a CAD file, keyed by name: ``dimension``, points ``at``, corners of a ``box``.
+    A CAD file is meshed with elements of a ``size``, in the unit of the file. ``picks`` selects the
+    groups of a CAD file, keyed by name. Each pick contains the ``dimension`` of its entities,
+    points ``at`` and two corners of a ``box``.
 
-    The result contains these arrays:
+    The returned dictionary contains these arrays:
 
     * ``points`` (n, 3): positions of the nodes,
-    * ``cells<k>`` (elements, nodes): nodes of the elements of block k, corners first; all elements
-      of a block are of one kind,
-    * ``local<k>``: positions of these nodes on the reference element,
-    * ``corners``: number of corners of the elements of each block,
-    * ``numbers``: numbers of the elements in the file,
-    * ``group<k>``: numbers of the elements of group k, or nodes (elements, corners) of its
-      entities; triangles in a mesh with quadrilaterals repeat their last corner,
+    * ``cells<k>`` (elements, nodes): node numbers of the elements of block k, corners first; all
+      elements of a block are of one kind,
+    * ``local<k>`` (nodes, d): positions of the nodes of block k on the reference element,
+    * ``corners`` (blocks,): number of corners of each element of a block,
+    * ``numbers`` (elements,): numbers of the elements in the file,
+    * ``group<k>``: for a group of the body's dimension, the indices of its elements; for any other
+      group, the corner nodes (elements, corners) of its elements, where triangles repeat their last
+      corner,
     * ``record``: JSON text with the name and dimension of each group.
 
     Raises
     ------
     UsageError : there are no solids to mesh, a selection is empty, or elements have an unsupported
-    shape.
+        shape.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
@@ -63,13 +69,16 @@ def extract_mesh(
         for _ in range(splits):
             gmsh.model.mesh.refine()
         arrays = _collect_arrays(gmsh, dimension, name)
-    if Path(file).suffix in MESHIO_READERS:  # meshio does not read the numbers of elements
+    if Path(file).suffix in MESHIO_READERS:  # meshio does not read the element numbers
         arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
     return arrays
 
 
 def measure_box(file: str) -> dict[str, np.ndarray]:
-    """Return the bounding box of a file: array ``box`` (2, 3) in the unit of the file."""
+    """Return the array ``box`` (2, 3): opposite corners of the bounding box of a file's mesh.
+
+    The corners are in the unit of the file, and in mm for a STEP file.
+    """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         _merge_file(gmsh, file, 3)
@@ -81,7 +90,7 @@ def measure_box(file: str) -> dict[str, np.ndarray]:
 
 
 def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
-    """Add the content of a file to the model of gmsh."""
+    """Add the content of a file to the current gmsh model."""
     if Path(file).suffix in MESHIO_READERS:
         merge_file(gmsh, file, dimension)
     else:
@@ -94,7 +103,10 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return the numbers and nodes of all elements in ``entities`` of dimension ``d``."""
+        """Return element numbers and a block for each kind of elements in ``entities``.
+
+        The entities have the dimension ``d``.
+        """
         result = []
         for entity in entities:
             blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
@@ -142,7 +154,10 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
 
 
 def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
-    """Return the corner nodes (elements, width); shorter rows repeat their last corner."""
+    """Return the corner nodes of all elements in ``blocks``, an array (elements, width).
+
+    The row of an element with fewer than ``width`` corners repeats the last corner.
+    """
     rows = [np.empty((0, width), int)]
     for block in blocks:
         columns = np.minimum(np.arange(width), block.corners - 1)
@@ -151,7 +166,10 @@ def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray
 
 
 def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Join the solids of a CAD file, name its groups, and mesh it with quadratic elements."""
+    """Mesh a CAD file with quadratic elements, after its solids are joined and groups are added.
+
+    The groups are the labels of the file and the selections ``picks``.
+    """
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
         problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
@@ -161,8 +179,8 @@ def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> No
     elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not elements <= MAX_ELEMENTS:
         problem = "this element size gives too many elements"
-        got, hint = f"about {elements:.1g} of them", "write a larger size"
-        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS}", hint)
+        got, hint = f"about {elements:.1g} elements", "write a larger size"
+        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS} elements", hint)
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -196,7 +214,10 @@ def _select_entities(
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
-    """Select the entities that contain one of the points ``at``, and those inside ``box``."""
+    """Return the entities that contain one of the points ``at``, or lie inside ``box``.
+
+    The entities have the given ``dimension``. ``name`` is the group of the entities.
+    """
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     result: list[int] = []
@@ -208,7 +229,7 @@ def _select_entities(
         ]
         if not hits:
             problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
-            expected = "a point of the geometry, in the file's unit here"
+            expected = "a point of the geometry, in the unit of the file"
             raise wrong(
                 f"groups.{name}.at",
                 problem,
@@ -235,7 +256,7 @@ def _select_entities(
 def _is_entity_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
     """Return whether the distance of an entity from a point is at most ``near``.
 
-    The surface or curve of the entity beyond its boundary does not count.
+    An entity ends at its boundary, even if its surface or curve extends further.
     """
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):

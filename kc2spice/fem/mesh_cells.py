@@ -1,12 +1,15 @@
 """Elements of mesh files, and their conversion to quadratic meshes.
 
-A file contains blocks of linear or quadratic elements. All elements of a block are of one kind.
-Meshes of only hexahedra or only quadrilaterals become meshes with 27 or 9 nodes per element. If the
-file lacks some of these nodes, their positions are interpolated by the shape functions of the
-file's elements. All other meshes become quadratic tetrahedra or triangles: prisms, pyramids, and
-hexahedra beside other elements are divided. The diagonal of each divided face starts at its lowest
-node number, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids,
-prisms and hexahedra into tetrahedra, 8th International Meshing Roundtable (1999).
+A file contains blocks of linear or quadratic elements. All elements of a block are of one kind. A
+mesh of hexahedra only, or of quadrilaterals only, is converted to elements with 27 or 9 nodes. If
+the file lacks some of these nodes, the shape functions of the file's elements interpolate their
+positions.
+
+All other meshes are converted to quadratic tetrahedra or triangles. Prisms, pyramids, and hexahedra
+in a mesh with other elements are divided into tetrahedra. The diagonal that divides a face starts
+at the node with the lowest number, so that neighbouring elements match. Source: J. Dompierre et
+al., How to subdivide pyramids, prisms and hexahedra into tetrahedra, 8th International Meshing
+Roundtable (1999).
 """
 
 from __future__ import annotations
@@ -31,13 +34,15 @@ from skfem.mesh import (
 
 from kc2spice.core.errors import wrong
 
-# Corners of the faces of elements in gmsh's node order, keyed by the element's number of corners.
+# Local corner numbers of each face of an element, in gmsh's node order. The keys are the numbers of
+# corners of the element.
 ELEMENT_FACES = {
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }  # fmt: skip
-# Neighbours of each corner along the edges of an element, in right-handed order.
+# Neighbours of each corner along the edges of an element, in right-handed order. The keys are the
+# dimension of the element and its number of corners.
 CORNER_NEIGHBOURS = {
     (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
     (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
@@ -48,7 +53,8 @@ CORNER_NEIGHBOURS = {
 }  # fmt: skip
 SIMPLEX_MESHES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
 PRODUCT_MESHES = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
-# Elements with the shape functions of a file's elements, keyed by dimension and number of nodes.
+# scikit-fem elements with the same shape functions as a file's elements. The keys are the dimension
+# and the number of nodes of an element.
 PRODUCT_ELEMENTS = {
     (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
     (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
@@ -57,9 +63,11 @@ PRODUCT_ELEMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class CellBlock:
-    """Elements of one kind: ``nodes`` (elements, l), with the ``corners`` first.
+    """Elements of one kind with l nodes each.
 
-    ``local`` (l, d) are the coordinates of the nodes of an element on gmsh's reference element.
+    ``nodes`` (elements, l) are the node numbers of each element. ``corners`` is the number of
+    corner nodes of an element, which precede all other nodes. ``local`` (l, d) are the positions of
+    the nodes on gmsh's reference element.
     """
 
     nodes: np.ndarray
@@ -68,12 +76,12 @@ class CellBlock:
 
     @property
     def dimension(self) -> int:
-        """Dimension of the elements."""
+        """Dimension of the elements: 1 for lines, 2 for faces, 3 for solids."""
         return self.local.shape[1]
 
     @property
     def vertices(self) -> np.ndarray:
-        """Nodes (elements, corners) at the corners."""
+        """Node numbers (elements, corners) at the corners."""
         return self.nodes[:, : self.corners]
 
     @property
@@ -86,7 +94,7 @@ class CellBlock:
         return CellBlock(number[self.nodes], self.corners, self.local)
 
     def find_middle_nodes(self) -> dict[tuple[int, int], int]:
-        """Return the local numbers of nodes in the middle of edges, keyed by the edge's corners."""
+        """Return the local numbers of mid-edge nodes, keyed by the corners of the edge."""
         result: dict[tuple[int, int], int] = {}
         for edge in combinations(range(self.corners), 2):
             middle = self.local[list(edge)].mean(axis=0)
@@ -97,13 +105,16 @@ class CellBlock:
         return {edge: node for edge, node in result.items() if node not in centres}
 
     def _find_face_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
-        """Return the face nodes: nodes in the middle of more than one line between corners."""
+        """Return the local numbers of nodes in the middle of faces.
+
+        A face node is in the middle of more than one line between corners.
+        """
         nodes = list(middles.values())
         return {node for node in nodes if nodes.count(node) > 1}
 
 
 def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
-    """Return whether all elements are quadrilaterals, or all are hexahedra."""
+    """Return whether all elements are quadrilaterals, or all elements are hexahedra."""
     return bool(blocks) and all(block.is_product for block in blocks)
 
 
@@ -133,7 +144,9 @@ def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where:
 
 
 def divide_faces(faces: np.ndarray) -> np.ndarray:
-    """Divide quadrilaterals (n, 4) into triangles (k, 3) by the diagonal from the lowest node.
+    """Divide quadrilaterals (n, 4) into triangles (k, 3) by a diagonal.
+
+    The diagonal of a quadrilateral starts at the node with the lowest number.
 
     A quadrilateral whose last two nodes are the same becomes one triangle.
     """
@@ -148,10 +161,11 @@ def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
 
 
 def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
-    """Divide elements into triangles or tetrahedra (k, d + 1), with the numbers of the elements.
+    """Divide elements into triangles or tetrahedra.
 
-     A tetrahedron
-    consists of the lowest node of an element and a triangle of a face without this node.
+    Return the node numbers (k, d + 1) of each triangle or tetrahedron, and the number (k,) of the
+    element that contains it. If a solid element is divided, each tetrahedron consists of the node
+    with the lowest number and a triangle of a face that does not contain this node.
     """
     pieces, parents, start = [], [], 0
     for block in blocks:
@@ -168,7 +182,11 @@ def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return simplices of a block, and the number of the element that contains each simplex."""
+    """Divide the elements of a block into triangles or tetrahedra.
+
+    Each item of the list contains node numbers of simplices, and the number of the element that
+    contains each simplex.
+    """
     cells = block.vertices
     if block.corners == block.dimension + 1:
         return [(cells, np.arange(len(cells)))]
@@ -189,7 +207,11 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _find_edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end nodes (k, 2) and middles (k, d) of curved edges and curved diagonals."""
+    """Return the end nodes (k, 2) and the middles (k, d) [m] of edges and diagonals.
+
+    The edges belong to quadratic elements, and may be curved. The diagonals divide these elements
+    into simplices. For linear elements, both arrays are empty.
+    """
     if len(block.local) == block.corners:
         return np.empty((0, 2), int), np.empty((0, points.shape[1]))
     middles, nodes = block.find_middle_nodes(), block.nodes
@@ -221,15 +243,17 @@ def _sort_pair(first: int, second: int) -> tuple[int, int]:
 def make_quadratic_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Make a quadratic mesh with the nodes of a file.
+    """Make a quadratic mesh from the nodes and elements of a file.
 
     Edges that have no middle node in the file are straight.
 
     Returns
     -------
     mesh : mesh of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : (n,) number in the mesh of each node of the file, -1 for nodes that are not corners.
-    parent : (elements,) number of the file's element that contains each element of the mesh.
+    number : (n,) for each node of the file, its number in the mesh; -1 for nodes that are not
+        corners.
+    parent : (elements,) for each element of the mesh, the number of the file's element that
+        contains it.
     """
     make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
     return make(points, blocks)
@@ -276,20 +300,20 @@ def _make_product_mesh(
 
 
 def _compute_unit_positions(block: CellBlock) -> np.ndarray:
-    """Return the nodes (l, d) of gmsh's quadrilateral or hexahedron on the unit square or cube."""
+    """Return the positions (l, d) of a block's nodes on the unit square or cube."""
     return (block.local + 1) / 2
 
 
 def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the index in ``places`` of each of the positions ``others``."""
+    """Return, for each position in ``others``, the index of the nearest position in ``places``."""
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))
 
 
 def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
-    """Return weights (m, l) that interpolate the m nodes of a quadratic element from l nodes.
+    """Return interpolation weights (m, l) for the positions of a quadratic element's m nodes.
 
-    The l nodes are the nodes of the block's elements in the file.
+    The positions are interpolated from the l nodes of the block's element in the file.
     """
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
     curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs
@@ -307,15 +331,16 @@ def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
 
 
 def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
-    """Return the nodes in the middle of edges, which are given by pairs (k, 2) of vertices."""
+    """Return the mid-edge nodes (k,) of the edges between ``pairs`` (k, 2) of vertices."""
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
     return mesh.nvertices + find_columns(edges, pairs)
 
 
 def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Find the entity, a column of ``entities``, that has the same ``corners`` (k, corners).
+    """Find the columns of ``entities`` that contain given corners, in any order.
 
-    The result is (k,), and -1 where no column of ``entities`` (corners, n) has these corners.
+    ``entities`` (c, n) has a column of c corners for each entity, and ``corners`` (k, c) a row for
+    each entity to be found. Return the column numbers (k,), -1 if no column has these corners.
     """
     columns, rows = np.sort(entities, axis=0), np.sort(corners, axis=1)
     if columns.shape[0] != rows.shape[1]:

@@ -1,13 +1,14 @@
-"""Meshes and CAD files of the user, read by gmsh or meshio, with named groups.
+"""Readers of mesh files and CAD files that return meshes with named groups.
 
-``.msh`` and ``.unv`` files contain elements and physical groups. :mod:`kc2spice.fem.mesh_formats`
-reads the mesh formats of other programs. This module meshes ``.step`` and ``.brep`` files. Before
-meshing, touching solids of a CAD file are modified to share faces. The groups of a CAD file are its
-labels, and the selections (``picks``) of :func:`read_mesh`.
+``.msh`` and ``.unv`` files contain elements and physical groups, and gmsh reads them. meshio reads
+other mesh formats (:mod:`kc2spice.fem.mesh_formats`). ``.step`` and ``.brep`` files are CAD files,
+which gmsh meshes. Before meshing, touching solids of a CAD file are modified so that they share
+faces. The groups of a CAD file are its labels and the selections (``picks``) of :func:`read_mesh`.
 
-gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
-option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
-(:mod:`kc2spice.core.untrusted_files`), on a copy with a safe name and a checked format.
+gmsh detects the format of a file from its extension and content, and runs files of unknown format
+as scripts. No option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a
+separate process (:mod:`kc2spice.core.untrusted_files`), on a copy of the file with a safe name and
+a verified format.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from kc2spice.fem.mesh_nodes import merge_nodes, require_joined
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
-# First bytes of each format, and the file name with which the file is read.
+# First bytes of each format, and the name of the copy that gmsh reads, keyed by file extension.
 FILE_FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
@@ -51,26 +52,29 @@ FILE_FORMATS = {
     ".unv": (b"    -1", "mesh.unv"), ".vtu": (b"<", "mesh.vtu"), ".med": (b"\x89HDF", "mesh.med"),
     ".exo": (b"", "mesh.exo"), ".e": (b"", "mesh.e"),
 }  # fmt: skip
-MAX_FILE_BYTES = 2_000_000_000  # largest size of a file
+MAX_FILE_BYTES = 2_000_000_000  # largest size of a mesh or CAD file
 _HEAD_BYTES = 200  # number of bytes at the beginning of a file that identify its format
 LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units that a user may state for a file
-MILLIMETRE = 1e-3  # m, unit of converted STEP files
-# Accepted versions of .msh files. The bytes after the version distinguish text, binary numbers with
-# the lowest byte first, and binary numbers with the highest byte first.
+MILLIMETRE = 1e-3  # m, unit to which gmsh converts STEP files
+# Header with an accepted version of .msh files. The bytes after the version distinguish text,
+# binary numbers with the lowest byte first, and binary numbers with the highest byte first.
 _MSH_HEADER = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
 )
-_UNV_MARK = re.compile(rb"^    -1[ \t\r]*$", re.MULTILINE)  # begin and end of a dataset
-_STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
+_UNV_DATASET_MARK = re.compile(
+    rb"^    -1[ \t\r]*$", re.MULTILINE
+)  # first and last line of a dataset
+_STEP_STRING_OR_COMMENT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)
 class Group(EqualByContent):
-    """Named set of elements, facets or nodes of the mesh.
+    """Set of elements, facets or nodes of the mesh.
 
-    ``codimension`` is 0 for elements, 1 for facets, and 2 or 3 for nodes. ``shares`` are the
-    weights of nodes: fractions of the length of a curve, or equal numbers for points.
+    ``members`` are the numbers of the elements, facets or nodes. ``codimension`` is 0 for elements,
+    1 for facets, and 2 or 3 for nodes. ``shares`` are weights of the nodes with the sum 1: the
+    share of each node in the length of a curve, or equal weights for points.
     """
 
     codimension: int
@@ -80,11 +84,11 @@ class Group(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class GroupedMesh:
-    """Quadratic mesh [m] with its groups, keyed by name.
+    """Quadratic mesh with coordinates in metres, and its groups, keyed by name.
 
     The mesh consists of tetrahedra or hexahedra. A plane mesh consists of triangles or
-    quadrilaterals. ``numbers`` (elements,) are the numbers in the file of the elements from which
-    the elements of the mesh were made.
+    quadrilaterals. ``numbers`` (elements,) contains, for each element of the mesh, the number of
+    the element in the file from which it was made.
     """
 
     mesh: Mesh
@@ -92,9 +96,9 @@ class GroupedMesh:
     numbers: np.ndarray
 
     def group(self, name: str, where: str, *codimensions: int) -> Group:
-        """Return a group that has one of the accepted codimensions.
+        """Return the group ``name``, which must have one of the ``codimensions``.
 
-        ``where`` is the key of the scene that names the group.
+        ``where`` is the scene key that contains the name of the group.
 
         Raises
         ------
@@ -143,22 +147,25 @@ def read_mesh(
     splits: int = 0,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Read a mesh, or mesh a CAD file.
+    """Return the mesh of a mesh file, or mesh a CAD file.
 
-    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge [m] of the elements into
-    which a CAD file is meshed. ``splits`` is the number of times that every edge is halved.
+    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge length [m] of the
+    elements into which a CAD file is meshed. ``dimension`` is 3 for solids, and 2 for a plane mesh.
+    ``splits`` is the number of times that every edge is halved.
 
     ``picks`` selects groups of a CAD file, keyed by name. A group consists of entities of one
-    ``dimension`` (0 to 3: points, curves, faces, solids). The entities contain one of the points
-    ``at`` (n, 3), or lie in a ``box`` of two corners, all in the unit of the file.
+    ``dimension`` (0 to 3: points, curves, faces, solids). Each entity contains one of the points
+    ``at`` (n, 3), or lies inside a ``box``, which is given by two corners. All coordinates are in
+    the unit of the file.
 
     Nodes that are at most ``merge`` [m] apart become one node. If ``merge`` is 0, solids may touch
     without common nodes.
 
     Raises
     ------
-    UsageError : the file is missing, its format differs from its suffix, it contains no solids, or
-    it is a CAD file without ``size``; a selection is empty; or touching solids share no nodes.
+    UsageError : the file is missing, its format does not match its suffix, it contains no solids,
+        or it is a CAD file without ``size``; a selection is empty; or touching solids share no
+        nodes.
     """
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
@@ -190,12 +197,12 @@ def read_mesh(
 
 
 def find_length_unit(path: Path, unit: str | None) -> float:
-    """Determine the unit of length [m] of a file from its format, or from ``unit``.
+    """Return the unit of length [m] of a file, from its format or from ``unit``.
 
     Raises
     ------
-    UsageError : neither the format nor ``unit`` states the unit; the message contains the size of
-    the body for several units.
+    UsageError : neither the format nor ``unit`` states the unit. The message contains the size of
+        the body for each possible unit.
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         try:
@@ -219,27 +226,32 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     )
     problem = f"a {path.suffix} file does not state its unit of length"
     hint = 'add  unit = "mm"  below mesh, if the size in mm is right'
-    raise wrong("unit", problem, f"{in_millimetres(1.0)} in that unit", ", ".join(sizes), hint)
+    got = f"a body of {in_millimetres(1.0)} in the unit of the file"
+    raise wrong("unit", problem, got, ", ".join(sizes), hint)
 
 
 _IMPERIAL_UNITS = ("in", "inch", "inches", "mil", "mils", "thou", "ft", "feet")
 
 
 def measure_extent(path: Path) -> np.ndarray:
-    """Measure the sides (3,) of the bounding box of a file, in the unit of the file.
+    """Return the side lengths (3,) of the bounding box of a file's body, in the unit of the file.
 
-    The sides of a STEP file are in mm.
+    For a STEP file, the side lengths are in mm.
 
     Raises
     ------
-    UsageError : the file is missing or has another format than its suffix.
+    UsageError : the file is missing, or its format does not match its suffix.
     """
     low, high = _call_gmsh("measure_box", path, _read_content(path))["box"]
     return np.asarray(high - low)
 
 
 def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
-    """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a process with a copy of the file."""
+    """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a separate process.
+
+    The process reads a copy of the file ``path`` with the content ``data``. ``request`` contains
+    the other arguments of the function.
+    """
     file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
@@ -261,14 +273,15 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
-    """Check that the content of a file has the format of its suffix.
+    """Reject a file whose content does not match the format of its suffix.
 
-    gmsh runs unknown files as scripts. ``head`` are the first bytes of the file; by default, they
-    are read from the file. A missing file raises no error.
+    This check is necessary, because gmsh runs files of unknown format as scripts. ``head`` contains
+    the first bytes of the file; by default, they are read from the file. A missing file raises no
+    error.
 
     Raises
     ------
-    UsageError : the suffix is unknown, or the file has another format.
+    UsageError : the suffix is unknown, or the content has another format.
     """
     known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
@@ -308,7 +321,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
 
 
 def _read_content(path: Path) -> bytes:
-    """Read a file, and check its format."""
+    """Return the content of a mesh or CAD file, after its format is checked."""
     require_format(path)
     try:
         data = read_bounded(path, MAX_FILE_BYTES)
@@ -321,14 +334,16 @@ def _read_content(path: Path) -> bytes:
         hint = f"check the permissions and the size of {path}"
         raise wrong(str(path), f"this file cannot be read: {reason}", None, None, hint) from None
     require_format(path, data[:_HEAD_BYTES])
-    if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
+    if path.suffix.lower() == ".unv" and len(_UNV_DATASET_MARK.findall(data)) % 2:
         hint, expected = "export the file again", "a line -1 before and after each dataset"
         raise wrong(str(path), "the file ends within a dataset", None, expected, hint)
     if path.suffix.lower() == ".unv":
         require_unv_elements(data, str(path))
     if path.suffix.lower() in MESHIO_READERS:
         require_plain_content(path.suffix.lower(), data, str(path))
-    if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
+    if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_STRING_OR_COMMENT.sub(
+        b"", data
+    ):
         hint = "export it without external references"
         expected = "one file with all solids"
         raise wrong(str(path), "this file refers to other files", "DOCUMENT_FILE", expected, hint)
@@ -342,7 +357,7 @@ def _assemble_mesh(
     where: str,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Assemble the mesh and its groups from the arrays of :func:`extract_mesh`."""
+    """Return the mesh and its groups, made from the arrays of :func:`extract_mesh`."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         problem = "a node has a coordinate that is not a finite number"
@@ -383,18 +398,18 @@ def _assemble_mesh(
             if d == 2 and not is_product_mesh(blocks):
                 members = divide_faces(members)
             facets = find_columns(mesh.facets, number[members])
-            groups[name] = Group(1, np.unique(_require_inside(facets, name)))
+            groups[name] = Group(1, np.unique(_require_on_body(facets, name)))
         else:
-            ends = _require_inside(number[members], name)
+            ends = _require_on_body(number[members], name)
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
-            groups[name] = Group(dimension - d, *_measure_shares(mesh, ends, length, name))
+            groups[name] = Group(dimension - d, *_compute_node_weights(mesh, ends, length, name))
     return GroupedMesh(mesh, groups, arrays["numbers"][parent])
 
 
 def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageError:
     """Make the error for a mesh that contains no elements of the required ``dimension``.
 
-    ``grouped`` is the largest dimension of a group.
+    ``grouped`` is the largest dimension of the groups in the file.
     """
     shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
     problem, hint = f"the mesh has no {shape}", f"mesh the {what} with "
@@ -408,17 +423,18 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
     return UsageError(problem, where=where, expected=expected, hint=hint)
 
 
-def _measure_shares(
+def _compute_node_weights(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nodes on points (k, 1) or lines (k, 2), and the share of each node.
+    """Return the nodes of points or line elements, and the weight of each node.
 
-    The share of a node is its fraction of the total length.
+    ``ends`` contains the nodes of points (k, 1), or the end nodes of line elements (k, 2). The
+    weights have the sum 1. On line elements, the weight of a node is its share in the total length.
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
         middle = find_edge_nodes(mesh, ends)
-        _require_inside(middle - mesh.nvertices, name)
+        _require_on_body(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
         weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
     unique, place = np.unique(nodes, return_inverse=True)
@@ -426,8 +442,11 @@ def _measure_shares(
     return unique, total / (total.sum() or 1.0)
 
 
-def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
-    """Raise an error if an entity of a group is not on the body, so that its index is -1."""
+def _require_on_body(places: np.ndarray, name: str) -> np.ndarray:
+    """Return the indices ``places`` of a group's entities, if all of them are on the body.
+
+    An entity that is not on the body has the index -1, which raises an error.
+    """
     if (places < 0).any():
         raise UsageError(
             "this group does not lie on the elements of the body",

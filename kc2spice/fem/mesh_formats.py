@@ -1,8 +1,8 @@
-"""Meshes of other programs, read by meshio, as discrete entities of gmsh.
+"""Conversion of mesh formats that meshio reads to discrete entities of gmsh.
 
-Sets of elements, integer cell data, and sets of nodes become physical groups. If a set of nodes
-contains all corners of some faces on the surface of the body, it becomes a group of these faces.
-Any other set of nodes becomes a group of points.
+Element sets, node sets and integer cell data become physical groups. If a node set contains all
+corners of some faces on the surface of the body, it becomes a group of these faces. Any other node
+set becomes a group of points.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.extras import import_optional
 from kc2spice.fem.mesh_cells import ELEMENT_FACES
 
-# Readers of meshio and the library that each reader needs, keyed by suffix.
+# Reader module of meshio, and the additional library that it needs, keyed by file suffix.
 MESHIO_READERS = {
     ".inp": ("abaqus", None), ".bdf": ("nastran", None), ".nas": ("nastran", None),
     ".vtu": ("vtu", None), ".med": ("med", "h5py"), ".exo": ("exodus", "netCDF4"),
     ".e": ("exodus", "netCDF4"),
 }  # fmt: skip
-# Shape, dimension and number of corners of elements, keyed by the beginning of meshio's name.
-_ORDER_HINT = "mesh with linear or quadratic elements in the program that made the mesh"
+_ELEMENT_ORDER_HINT = "mesh with linear or quadratic elements in the program that made the mesh"
+# Name in gmsh, dimension and number of corners of each element shape. The keys are the beginnings
+# of the element names in meshio.
 ELEMENT_SHAPES = {
     "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
     "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
@@ -37,9 +38,9 @@ ELEMENT_SHAPES = {
 }  # fmt: skip
 TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 MAX_QUOTE_LENGTH = 60  # largest number of characters of a line that an error quotes
-MAX_GROUPS = 1000  # largest number of groups from one array of integers
+MAX_GROUPS = 1000  # largest number of groups that are made from one array of integer cell data
 # Largest distance of a node from its position on an element with straight edges, relative to the
-# longest edge of the element. An edge that is half a circle has the distance 0.5.
+# longest edge of the element. For a semicircular edge, this ratio is 0.5.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
     "abaqus": re.compile(
@@ -49,7 +50,7 @@ _INCLUDE_LINE = {
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
 # Lines of Abaqus files that meshio ignores although they change the mesh. Each item consists of a
-# pattern, the number of such lines in a supported file, and the remedy.
+# pattern, the largest number of matching lines that a file may contain, and the hint of the error.
 IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
      "write all nodes and elements in global coordinates"),
@@ -60,38 +61,41 @@ IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*PART\b.*", 1, "write one part, or export without parts and assemblies"),
 )  # fmt: skip
 _GRID_LINE = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
-# Continuation line of a Nastran file: its first field is empty.
+# Beginning of a continuation line in a Nastran file: the first field of the line is empty.
 _CONTINUATION_LINE = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
-# Elements of Abaqus, keyed by dimension. A number of nodes and letters follow in their names.
+# Names of Abaqus elements, keyed by dimension. The group is the number of nodes in the name.
 ABAQUS_TYPES = {
     2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
     3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
 }
+# Names of elements in meshio, keyed by dimension and by number of nodes.
 MESHIO_NAMES = {
     2: {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8"},
     3: {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15",
         20: "hexahedron20", 27: "hexahedron27"},
 }  # fmt: skip
-# Number of nodes of UNV elements, keyed by type; and the types with an additional line.
+# Number of nodes of UNV elements, keyed by element type. Elements of the types UNV_BEAMS have an
+# additional line.
 UNV_NODES = {
     11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
     92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
 }  # fmt: skip
 UNV_BEAMS = (11, 21, 22, 23, 24)
-_UNV_ELEMENTS = re.compile(rb"^    -1[ \t\r]*\n *2412[ \t\r]*\n(.*?)^    -1", re.M | re.S)
+_UNV_ELEMENT_DATASET = re.compile(rb"^    -1[ \t\r]*\n *2412[ \t\r]*\n(.*?)^    -1", re.M | re.S)
 _ELEMENT_TYPE = re.compile(rb"\bTYPE[ \t]*=[ \t]*(\w+)", re.IGNORECASE)
-_ELEMENT = re.compile(rb"^[ \t]*\*ELEMENT[ \t]*,.*", re.IGNORECASE | re.MULTILINE)
-_ELSET = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
+_ELEMENT_LINE = re.compile(rb"^[ \t]*\*ELEMENT[ \t]*,.*", re.IGNORECASE | re.MULTILINE)
+_ELEMENT_SET_NAME = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
 
 def require_plain_content(suffix: str, data: bytes, where: str) -> None:
-    """Reject files that include other files, and element sets that meshio reads wrongly.
+    """Reject mesh files that include other files or that meshio would read incorrectly.
 
     Raises
     ------
-    UsageError : the file refers to another file or contains lines that meshio ignores; or an Abaqus
-        file has elements inside and outside of sets, or one set for several blocks.
-    MissingToolError : a library of the format is not installed.
+    UsageError : the file refers to another file, or contains lines that meshio ignores although
+        they change the mesh; or an Abaqus file has elements inside and outside of element sets, or
+        one element set for several blocks.
+    MissingToolError : the library that meshio needs for this format is not installed.
     """
     reader, library = MESHIO_READERS[suffix]
     if library:
@@ -107,12 +111,12 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
             expected,
             "insert the text of these files",
         )
-    for line, hint in _list_ignored(reader, data):
+    for line, hint in _list_ignored_lines(reader, data):
         got = line.decode(errors="replace").strip()[:MAX_QUOTE_LENGTH]
         expected = "nodes and elements of one body in cartesian coordinates"
         raise wrong(where, "the file moves or generates parts of the mesh", got, expected, hint)
     if reader == "abaqus":
-        names = list(map(_ELSET.search, _ELEMENT.findall(data)))
+        names = list(map(_ELEMENT_SET_NAME.search, _ELEMENT_LINE.findall(data)))
         sets = [name[1].upper() for name in names if name]
         if sets and (len(sets) < len(names) or len(set(sets)) < len(sets)):
             expected = "another ELSET for each *ELEMENT line, or none"
@@ -120,8 +124,8 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
             raise wrong(where, "element sets cannot be assigned", None, expected, hint)
 
 
-def _list_ignored(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
-    """Yield lines that meshio ignores although they change the mesh, each with a remedy."""
+def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
+    """Yield each line that meshio ignores although it changes the mesh, with the error's hint."""
     if reader == "abaqus":
         for text, plain, hint in IGNORED_LINES:
             lines = re.finditer(text, data, re.IGNORECASE | re.MULTILINE)
@@ -137,9 +141,9 @@ def _list_ignored(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
 
 
 def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
-    """Add the mesh of a file to gmsh, as ``gmsh.merge`` does with its own formats.
+    """Add the mesh of a file that meshio reads to the current gmsh model.
 
-    ``dimension`` is the dimension of the body.
+    ``dimension`` is the dimension of the body, 2 or 3. For other formats, use ``gmsh.merge``.
     """
     reader = MESHIO_READERS[Path(file).suffix][0]
     _extend_meshio(reader, Path(file))
@@ -156,7 +160,7 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
                 "the mesh has an element type that is not supported",
                 cells.type,
                 expected,
-                _ORDER_HINT,
+                _ELEMENT_ORDER_HINT,
             )
         nodes = np.asarray(cells.data)
         if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
@@ -181,7 +185,7 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     entity_of: dict[tuple[int, int], int] = {}
     start = 0
     for (family, d, corners), nodes in blocks:
-        kind = _element_kind(gmsh, family, corners, nodes.shape[1])
+        kind = _find_element_kind(gmsh, family, corners, nodes.shape[1])
         nodes = _order_nodes(gmsh, kind, family, corners, nodes, points)
         marks = signature[start : start + len(nodes)]
         for mark in np.unique(marks):
@@ -201,16 +205,17 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
 
 def _extend_meshio(reader: str, file: Path) -> None:
-    """Add features that meshio's readers lack.
+    """Extend meshio so that it reads a ``file`` with features that it does not support.
 
-    The features are prisms of 15 nodes, elements of Abaqus, and continuation lines of Nastran. For
-    continuation lines, the ``file``, which is a copy of the user's file, is written again.
+    These features are prisms with 15 nodes, some Abaqus elements, and continuation lines in Nastran
+    files. If ``reader`` is "nastran", the continuation lines of the ``file`` are rewritten. The
+    ``file`` must be a copy of the user's file.
     """
     import_module("meshio._mesh").topological_dimension.setdefault("wedge15", 3)
     if reader == "abaqus":
         known = import_module("meshio.abaqus._abaqus").abaqus_to_meshio_type
         for word in set(_ELEMENT_TYPE.findall(file.read_bytes())):
-            kind = _name_abaqus_type(word.decode())
+            kind = _find_meshio_name(word.decode())
             if kind is not None:
                 known.setdefault(word.decode(), kind)
     if reader == "nastran":
@@ -218,8 +223,8 @@ def _extend_meshio(reader: str, file: Path) -> None:
         file.write_bytes(head + mark + _CONTINUATION_LINE.sub(b"+", bulk))
 
 
-def _name_abaqus_type(name: str) -> str | None:
-    """Return meshio's name of a solid or plane element of Abaqus, None for other elements."""
+def _find_meshio_name(name: str) -> str | None:
+    """Return meshio's name of an Abaqus solid or plane element, None for other elements."""
     for dimension, pattern in ABAQUS_TYPES.items():
         if match := pattern.fullmatch(name.upper()):
             return MESHIO_NAMES[dimension].get(int(match[1]))
@@ -227,15 +232,16 @@ def _name_abaqus_type(name: str) -> str | None:
 
 
 def require_unv_elements(data: bytes, where: str) -> None:
-    """Reject elements of a UNV file whose number of nodes does not match their type.
+    """Reject a UNV file with elements whose number of nodes does not match their type.
 
-    gmsh writes such elements with 9, 18 and 27 nodes, but reads only their corners.
+    gmsh writes such elements with 9, 18 and 27 nodes, but it reads only the corners of these
+    elements.
 
     Raises
     ------
-    UsageError : an element has another number of nodes than its type.
+    UsageError : an element has not the number of nodes that its type requires.
     """
-    for dataset in _UNV_ELEMENTS.findall(data):
+    for dataset in _UNV_ELEMENT_DATASET.findall(data):
         lines = iter(dataset.splitlines())
         for header in lines:
             fields = list(map(int, header.split()))
@@ -256,7 +262,10 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
-    """List the faces of elements as rows of corners, including inner faces."""
+    """Return the corners (elements, corners) of each local face of all elements.
+
+    Faces between two elements are included.
+    """
     corners = cells.shape[1]
     if dimension == 2:
         return [cells[:, [k, (k + 1) % corners]] for k in range(corners)]
@@ -266,7 +275,7 @@ def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
 def _collect_element_sets(
     mesh: Any, file: str, reader: str, dimensions: np.ndarray
 ) -> dict[tuple[str, int], np.ndarray]:
-    """Return the numbers of the elements of each set, keyed by the set's name and dimension."""
+    """Return the element numbers of each set, keyed by the name and dimension of the set."""
     result: dict[tuple[str, int], np.ndarray] = {}
     starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
     named = list(_list_named_sets(mesh, file, reader, starts))
@@ -282,11 +291,12 @@ def _collect_element_sets(
 def _list_named_sets(
     mesh: Any, file: str, reader: str, starts: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the name and the element numbers of each element set and of each cell data value."""
     for name, parts in mesh.cell_sets.items():
         pieces = [start + np.asarray(p, int) for start, p in zip(starts, parts, strict=False)]
         yield name, np.concatenate([np.empty(0, int), *pieces])
     if reader == "exodus":
-        for name, k in _exodus_block_names(file):
+        for name, k in _list_exodus_blocks(file):
             yield name, np.arange(starts[k], starts[k + 1])
     arrays = {}
     for name, parts in mesh.cell_data.items():
@@ -304,8 +314,11 @@ def _list_named_sets(
             yield text, np.concatenate(pieces)
 
 
-def _exodus_block_names(file: str) -> Iterator[tuple[str, int]]:
-    """Return the positions of the element blocks in the file, keyed by name or number."""
+def _list_exodus_blocks(file: str) -> Iterator[tuple[str, int]]:
+    """Yield the name and the index of each element block in an Exodus file.
+
+    A block without a name has its number as name.
+    """
     with import_optional("netCDF4", file).Dataset(file) as data:
         places = [int(key[7:]) - 1 for key in data.variables if re.fullmatch(r"connect\d+", key)]
         numbers = data.variables["eb_prop1"][:] if "eb_prop1" in data.variables else None
@@ -318,6 +331,7 @@ def _exodus_block_names(file: str) -> Iterator[tuple[str, int]]:
 
 
 def _collect_node_sets(mesh: Any) -> dict[str, np.ndarray]:
+    """Return the node numbers of each node set, keyed by the name of the set."""
     result = {name: np.asarray(nodes, int) for name, nodes in mesh.point_sets.items()}
     tags = np.asarray(mesh.point_data.get("point_tags", []))
     for tag, names in getattr(mesh, "point_tags", {}).items():
@@ -335,7 +349,11 @@ def _add_node_set(
     dimension: int,
     tag: int,
 ) -> None:
-    """Add a set of nodes as a surface if they form element faces, otherwise as points."""
+    """Add a node set to gmsh as a physical group.
+
+    The group consists of faces on the surface of the body if all of their corners are in the set.
+    If there are no such faces, the group consists of points.
+    """
     inside = [face[np.isin(face, nodes).all(axis=1)] for face in faces]
     surface = []
     for width in (2, 3, 4):
@@ -357,8 +375,8 @@ def _add_node_set(
     gmsh.model.addPhysicalGroup(d, [tag], name=name)
 
 
-def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
-    """Return gmsh's number of a linear or quadratic kind of element."""
+def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
+    """Return gmsh's number of the linear or quadratic element type with this many ``nodes``."""
     if shape == "Point":
         return 15
     if nodes == corners:
@@ -373,17 +391,17 @@ def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int
         "the mesh has an element type that is not supported",
         f"{shape} with {nodes} nodes",
         expected,
-        _ORDER_HINT,
+        _ELEMENT_ORDER_HINT,
     )
 
 
 def _order_nodes(
     gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Order the nodes on edges and faces as in gmsh, according to their positions.
+    """Return the ``nodes`` (elements, l) in gmsh's order of the nodes on edges and faces.
 
-    Programs number these nodes differently. The chosen order minimises the distances of the nodes
-    from their positions on elements with straight edges.
+    Programs number these nodes in different orders. The returned order minimises the sum of the
+    squared distances between the nodes and their positions on elements with straight edges.
     """
     extra = nodes[:, corners:]
     if not extra.size:

@@ -1,4 +1,4 @@
-"""Merging of nodes of touching solids, and errors about meshes that do not match."""
+"""Merging of the nodes of touching solids, and errors for solids whose meshes do not match."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.core.errors import wrong
 from kc2spice.fem.mesh_cells import CellBlock, divide_cells
 
-COINCIDENCE_TOLERANCE = 1e-3  # distance of coincident nodes, relative to the shortest edge
+# largest distance of nodes that count as coincident, relative to the shortest edge
+COINCIDENCE_TOLERANCE = 1e-3
 
 
 def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Number the nodes (n,) so that nodes at most ``distance`` [m] apart have the same number.
+    """Return node numbers (n,) in which nodes at most ``distance`` [m] apart share one number.
 
     Nodes that belong to no element keep their numbers.
 
     Raises
     ------
-    UsageError : the distance collapses an edge of an element.
+    UsageError : both ends of an edge would get the same number.
     """
     from scipy.spatial import cKDTree  # imported here, because few meshes need it
 
@@ -47,12 +48,12 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
 
 
 def _find_used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
-    """Return the nodes of all elements in ascending order."""
+    """Return the numbers of the nodes that belong to elements, in ascending order."""
     return np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
 
 
 def _find_shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
-    """Return the length of the shortest edge of triangles or tetrahedra."""
+    """Return the length [m] of the shortest edge of triangles or tetrahedra."""
     i, j = np.triu_indices(cells.shape[1], 1)
     return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
 
@@ -63,25 +64,25 @@ def require_joined(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Reject solids that touch but share no nodes, because they would not be connected.
+    """Reject solids that touch but share no nodes, because the mesh would not connect them.
 
     ``points`` (n, d) [m] are the positions of the nodes. ``owners`` maps the name of each group to
     the numbers of its elements.
 
     Raises
     ------
-    UsageError : two nodes are at the same place, or a node of one piece of the mesh is on the
-        surface of another piece.
+    UsageError : two nodes coincide, or a node of one piece of the mesh is on the surface of another
+        piece.
     """
-    # imported here, so that a scene without a mesh does not load it
+    # imported here, so that a scene without a mesh file does not load scipy.spatial
     from scipy.spatial import cKDTree
 
     cells = divide_cells(blocks)[0]
     near = COINCIDENCE_TOLERANCE * _find_shortest_edge(points, cells)
     used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
-    expected = "one node for all elements that are joined there"
-    apart = "merge = 0 keeps them apart"
+    expected = "one common node for all elements that touch at a point"
+    apart = "merge = 0 keeps the solids separate"
     if len(pairs):
         got = f"{len(pairs)} pairs of nodes at one place, "
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
@@ -91,14 +92,14 @@ def require_joined(
     if strays.size:
         got = f"{strays.size} nodes on the surface of another piece, "
         got += _describe_nodes(points, strays, blocks, owners)
-        hint = "fragment the solids before they are meshed, as occ.fragment of gmsh does; " + apart
+        hint = "fragment the solids before meshing, for example with gmsh's occ.fragment; " + apart
         raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
 
 
 def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
-    """Find nodes on the surface of another piece of the mesh.
+    """Return the numbers of nodes that lie on the surface of another piece of the mesh.
 
-    The ``cells`` (k, d + 1) are triangles or tetrahedra.
+    A piece is a set of connected elements. The ``cells`` (k, d + 1) are triangles or tetrahedra.
     """
     from scipy.spatial import cKDTree
 
@@ -119,15 +120,15 @@ def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: flo
     node = nodes[np.fromiter(chain.from_iterable(around), int)]
     other = label[faces[face, 0]] != label[node]
     face, node = face[other], node[other]
-    return np.unique(node[_mask_on_simplex(points[node], points[faces[face]], near)])
+    return np.unique(node[_mask_points_on_simplices(points[node], points[faces[face]], near)])
 
 
-def _mask_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask (n,) of the points ``places`` closer than ``near`` to their simplex.
+def _mask_points_on_simplices(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
+    """Return a mask (n,) of the points that are closer than ``near`` to their simplex.
 
-    The points are (n, d), and the simplices (n, corners, d). The foot of the perpendicular from x
-    is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``. Here ``s_0`` is a corner, and the columns of J
-    are the edges from this corner.
+    Point ``places[i]`` (d,) is compared with the simplex ``simplices[i]`` (corners, d). The foot of
+    the perpendicular from the point x is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``, where ``s_0``
+    is a corner, and the columns of J are the edges from this corner.
     """
     J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
     arm = (places - simplices[:, 0])[:, :, None]
@@ -144,7 +145,7 @@ def _describe_nodes(
     blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],
 ) -> str:
-    """Describe the bounding box of nodes in millimetres, and the groups of their elements."""
+    """Return a description of nodes: their bounding box [mm] and the groups of their elements."""
     axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
     spans = []
     for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):
@@ -157,7 +158,7 @@ def _describe_nodes(
 
 
 def _format_length(length: float) -> str:
-    """Format a length with one digit and an SI prefix."""
+    """Return a length as text with one significant digit and an SI prefix."""
     for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
         if length >= factor:
             return f"{length / factor:.1g} {unit}"

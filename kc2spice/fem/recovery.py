@@ -1,17 +1,19 @@
-"""Error estimates of strain and electric field in hexahedra.
+"""Estimates of the discretisation error of strain and electric field in hexahedra.
 
 Around every corner of the mesh, a polynomial is fitted to the strain and field of the adjacent
 elements. The least-squares fit uses the points of an element at which strain and field are most
-accurate. Weighted by linear shape functions, the polynomials give the recovered strain and field,
-which are more accurate than strain and field of the elements. The difference (dS, dE) between
-recovered and original strain and field gives the energy product of the errors of two solutions:
+accurate. A sum of these polynomials, weighted by linear shape functions, is the recovered strain
+and field. The recovered strain and field are more accurate than those of the elements. The
+difference (dS, dE) between recovered and original strain and field gives the energy product of the
+errors of two solutions 1 and 2:
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
-A fit stays within one piece, whose materials have the same name, so that strain is continuous. In a
-stack with alternating poling, the coupling of a layer is s times the coupling of the first layer,
-and the field times s is continuous. Linear elements need neighbouring layers, because their field
-in a layer is constant. With quadratic elements, each layer is a piece: strain and field jump at
+A fit includes only elements of one piece of the mesh. All materials of a piece have the same name,
+so that the strain is continuous. In a stack with alternating poling, the coupling of a layer is s
+times the coupling of the first layer, where s is 1 or -1, and the field times s is continuous. With
+linear elements, a piece extends over all layers, because the field of such an element is constant
+across a layer. With quadratic elements, each layer is a piece, because strain and field jump at the
 electrodes by the change of the mean strain from layer to layer. Sources: O. C. Zienkiewicz and J.
 Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F. Abdulwahab, Int. J. Numer.
 Meth. Eng. 36 (1993) 2703.
@@ -31,21 +33,22 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
-# Penalty on the squares of first-degree coefficients, relative to the mean of the normal matrix of
-# a fit. Coefficients of degree p have p^2 times this penalty. The penalty determines the
-# coefficients that the points of the fit do not determine.
+# Penalty on the squared coefficients of degree 1 of a fitted polynomial, relative to the mean
+# diagonal entry of the normal matrix. Coefficients of degree p have p^2 times this penalty. The
+# penalty makes the fit unique if it has too few points.
 RIDGE_PENALTY = 1e-6
-# penalty of a neighbouring patch in the choice of a corner's patch: squared distance from the
-# middle of a patch, relative to its size
+# Penalty on choosing a neighbouring patch instead of the patch of the corner itself. The penalty is
+# added to the squared distance between the corner and the mean point of the patch, which is
+# relative to the spread of the patch's points.
 NEIGHBOUR_PENALTY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Energy products (k, k) of k solutions and of their errors.
+    """Energy products of k solutions and of their errors, as matrices (k, k) [J].
 
-    ``solution`` contains the products of solutions, and ``error`` the products of their errors.
-    ``spread`` is the sum of the absolute contributions of the elements to ``error``.
+    ``solution`` contains the energy products of the solutions, and ``error`` those of the errors of
+    the solutions. ``spread`` is the sum of the absolute contributions of all elements to ``error``.
     """
 
     solution: np.ndarray
@@ -54,7 +57,7 @@ class EnergyProducts:
 
 
 def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
-    """Compute energy products of solutions and of their errors.
+    """Compute the energy products of k solutions, and of the errors of the solutions.
 
     The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
     """
@@ -82,7 +85,7 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
 
 
 def _split_chunks(count: int) -> Iterator[np.ndarray]:
-    """Divide the numbers from 0 to ``count - 1`` into arrays of :data:`CHUNK_SIZE` numbers."""
+    """Yield the numbers from 0 to ``count - 1`` in arrays of at most :data:`CHUNK_SIZE` numbers."""
     return (
         np.arange(start, min(start + CHUNK_SIZE, count)) for start in range(0, count, CHUNK_SIZE)
     )
@@ -91,10 +94,10 @@ def _split_chunks(count: int) -> Iterator[np.ndarray]:
 def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield strains and electric fields (elements, 9, k) at each point of ``basis``.
+    """Yield strains and electric fields (cells, 9, k) at each integration point of ``basis``.
 
-    The elements are ``cells``. The electric field is multiplied by the coupling factor of the
-    material.
+    ``cells`` are the elements of the basis. Rows 0 to 5 are the strains, and rows 6 to 8 the
+    electric field, multiplied by the coupling factor of the material.
     """
     d, nodes = solid.components, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -104,7 +107,10 @@ def _evaluate_fields(
 
 
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
-    """Compute the coupling (materials,) relative to the first material of the same name."""
+    """Return the coupling factor (materials,) of each material.
+
+    The factor is the piezoelectric coupling relative to the first material with the same name.
+    """
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
     return np.array([np.sum(e * e0) / np.sum(e0 * e0) if e.any() else 1.0 for e, e0 in pairs])
@@ -113,10 +119,11 @@ def _compute_coupling_factors(solid: Solid) -> np.ndarray:
 def _list_energy_matrices(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield ``[[C, -e'], [-e, -eps]]`` (elements, 9, 9) at each point of ``basis``.
+    """Yield ``[[C, -e'], [-e, -eps]]`` (cells, 9, 9) at each integration point of ``basis``.
 
-    The matrices are for electric fields that are multiplied by the coupling factor of the material.
-    A material that is neither piezoelectric nor dielectric has no field.
+    The matrices apply to the electric field multiplied by the coupling factor of the material. In a
+    material that is neither piezoelectric nor dielectric, the rows and columns of the field are
+    zero.
     """
     owner, factors = solid.owner[cells], _compute_coupling_factors(solid)
     constants = [list_tensors(solid, basis, material) for material in solid.materials]
@@ -137,13 +144,16 @@ def _list_energy_matrices(
 
 
 def _evaluate_linear_shape_functions(X: np.ndarray) -> np.ndarray:
-    """Return the linear shape functions (points, corners) at points ``X`` (d, points)."""
+    """Return the values (points, corners) of the linear shape functions at ``X`` (d, points)."""
     element = skfem.ElementHex1()
     return np.array([element.lbasis(X, i)[0] for i in range(len(element.doflocs))]).T
 
 
 def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the monomials (…, terms) of coordinates ``x`` (…, d), and their degrees."""
+    """Return all monomials (…, terms) of coordinates ``x`` (…, d) up to a degree.
+
+    The second returned array contains the degree (terms,) of each monomial.
+    """
     dimensions = range(x.shape[-1])
     powers = list[tuple[int, ...]]()
     for total in range(degree + 1):
@@ -154,10 +164,12 @@ def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndar
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Polynomials that are fitted to the fields in patches of elements.
+    """Polynomials that are fitted to strain and electric field in patches of elements.
 
-    The polynomials in ``(x - middle) / size`` have ``coefficients`` (patches, terms, 9 k).
-    ``number`` (elements, corners) is the patch of each corner of each element.
+    A patch consists of the elements around a corner of the mesh, which is its ``middle`` (patches,
+    d) [m]. ``coefficients`` (patches, terms, 9 k) are the coefficients of the polynomials in the
+    coordinates ``(x - middle) / size``. ``number`` (elements, corners) is the number of the patch
+    around each corner of an element.
     """
 
     number: np.ndarray
@@ -170,7 +182,7 @@ class _Patches:
     def fit(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
         degree = solid.order
         places, samples = _sample_fields(solid, u, phi, solid.order)
-        number, middle = _number_corners(solid)
+        number, middle = _number_patches(solid)
         members = _widen_patches(
             _assign_patch_elements(number, len(middle)), number, middle, places
         )
@@ -182,9 +194,9 @@ class _Patches:
         return _Patches(number, middle, size, coefficients, degree)
 
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
-        """Evaluate strains and fields (elements, 9, k) at one point of each element.
+        """Return the recovered strains and fields (cells, 9, k) at one point of each element.
 
-        The points are ``at`` (elements, d). At these points, the linear shape functions of the
+        The points are ``at`` (cells, d) [m]. At these points, the linear shape functions of the
         elements have the values ``hats`` (corners,).
         """
         result = 0.0
@@ -199,9 +211,10 @@ class _Patches:
 def _sample_fields(
     solid: Solid, u: np.ndarray, phi: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the strains and fields to be fitted, and the positions of their points.
+    """Return the strains and electric fields that the polynomials are fitted to.
 
-    The positions are (elements, points, d), and the values are (elements, points, 9 k).
+    The first returned array contains the positions of the integration points (elements, points, d)
+    [m], the second the values of strain and field (elements, points, 9 k).
     """
     places, values = [], []
     for cells in _split_chunks(solid.mesh.nelements):
@@ -212,10 +225,11 @@ def _sample_fields(
     return np.concatenate(places), np.concatenate(values)
 
 
-def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Number the corners (elements, corners) separately in each piece of one material.
+def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of the patch around each corner (elements, corners).
 
-    The second result contains the positions of the corners by number.
+    A corner on the boundary between pieces of the mesh has one patch in each piece. The second
+    returned array contains the position (patches, d) [m] of the corner of each patch.
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
@@ -230,7 +244,7 @@ def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _assign_patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Return a matrix (patches, elements) that is 1 for the elements at a patch's corner."""
+    """Return a matrix (patches, elements) that is 1 where the element belongs to the patch."""
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
     result = sparse.csr_array((ones, (number.ravel(), elements)), shape=(count, len(number)))
@@ -245,10 +259,11 @@ def _assemble_normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the sizes (patches, d) of patches, and the normal equations of their fits.
+    """Return the sizes of the patches, and the normal equations of the least-squares fits.
 
-    With the monomials p at each point, the normal equations consist of ``sum p p'`` (patches,
-    terms, terms) and ``sum p values`` (patches, terms, 9 k).
+    The sizes have the shape (patches, d). With the monomials p at each point, the normal equations
+    consist of the matrices ``sum p p'`` (patches, terms, terms) and the right-hand sides ``sum p
+    values`` (patches, terms, 9 k).
     """
     sizes, sums, rights = [], [], []
     for chosen in _split_chunks(len(middle)):
@@ -269,7 +284,11 @@ def _assemble_normal_equations(
 def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """Add the elements of the most central neighbour to each patch."""
+    """Add elements to each patch whose corner is not well surrounded by points.
+
+    The added elements belong to the neighbouring patch whose points surround the corner most
+    evenly.
+    """
     use = _choose_patches(number, members, middle, places)
     index = np.arange(len(use))
     other = use != index
@@ -285,10 +304,10 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Choose the patch of each corner (patches,): its own patch or a neighbouring patch.
+    """Return, for each patch, the number (patches,) of the best patch among it and its neighbours.
 
-    The chosen patch is the one whose points surround its own corner most evenly. At the surface of
-    the body, the points of a patch are all on one side of its corner.
+    The best patch is the one whose points surround the corner of that patch most evenly. At the
+    surface of the body, all points of a patch are on one side of its corner.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

@@ -1,19 +1,19 @@
-"""Piezoelectric solids on any mesh of scikit-fem.
+"""Finite-element matrices of piezoelectric solids on scikit-fem meshes.
 
 The elements are tetrahedra, hexahedra, or axisymmetric triangles and quadrilaterals.
 
 The equations are ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E``
-and ``E = -grad phi``. Their weak form has these matrices for displacements u and potentials phi of
-the nodes:
+and ``E = -grad phi``. Their weak form has these matrices for the nodal displacements u and
+potentials phi, with test functions v and psi:
 
     M    = int rho v u          K_uu = int S(v)' C S(u)
     K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
 
-A displacement has d components: 3, or the two components r and z in an axisymmetric mesh. The
-unknown of component ``axis`` at a node has the number ``d node + axis``, and a potential has the
-number of its node. Strains are in Voigt order xx yy zz yz xz xy with engineering shear strains. In
-an axisymmetric body, x is the radial and y the hoop direction, and integrals extend over the full
-turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
+A displacement has d components: 3, or the two components r and z in an axisymmetric mesh. Component
+``axis`` of the displacement of a node is unknown number ``d node + axis``. The potential of a node
+has the number of the node. Strains are in Voigt order xx yy zz yz xz xy with engineering shear
+strains. In an axisymmetric body, x is the radial and y the hoop direction, and integrals extend
+over the full turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
 """
 
 from __future__ import annotations
@@ -32,44 +32,48 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
-FACE_QUADRATURE = 5  # degree of exact integration: a quadratic function times the radius
+# polynomial degree to which integrals over faces are exact
+FACE_QUADRATURE = 5
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
 # Voigt row of the derivative of component i with respect to coordinate j.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-# Coordinates (0 to 2: x, y, z) of a mesh, keyed by its dimension: a height, a meridian plane,
-# space.
+# Indices of the mesh coordinates among x, y and z, keyed by the dimension of the mesh. A mesh of
+# dimension 1 is a line along z, and one of dimension 2 a meridian plane.
 _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
-# Largest change of local coordinates in the last Newton step in thin elements, where rounding
-# errors of global coordinates exceed scikit-fem's tolerance. The convergence is quadratic.
+# Largest change of local coordinates in the last Newton step in thin elements. In such elements,
+# rounding errors of global coordinates exceed scikit-fem's tolerance. Newton's method converges
+# quadratically, so that the error after this step is much smaller than the step.
 THIN_ELEMENT_TOLERANCE = 1e-8
 
 
 class FacetMapping(MappingIsoparametric):
-    """Mapping of elements whose inverse also converges in elements of a micrometre thickness."""
+    """Isoparametric mapping whose inverse also converges in elements of micrometre thickness."""
 
     def invF(self, x: np.ndarray, tind: Any = None, **options: Any) -> np.ndarray:
         """Return the local coordinates of points ``x`` in the elements ``tind``."""
         try:
             return np.asarray(super().invF(x, tind, **options))
-        except Exception:  # scikit-fem raises no more specific class
+        except Exception:  # scikit-fem does not raise a more specific exception class
             options["newton_tol"] = THIN_ELEMENT_TOLERANCE
             return np.asarray(super().invF(x, tind, **options))
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Mesh whose element ``k`` consists of ``materials[owner[k]]``, already poled.
+    """Mesh with materials; element ``k`` consists of ``materials[owner[k]]``.
 
-    The shape functions have the degree ``order``: 2, or 1 on hexahedra. Materials with the same
-    name are one material in reports. ``numbers`` (l, elements) are the node numbers of each element
-    if they differ from the numbers of scikit-fem, because nodes of collapsed edges and faces have
-    the same number.
+    The tensors of the materials are already rotated to the poling direction. The shape functions
+    have the degree ``order``: 2, or 1 on hexahedra. Reports list materials with the same name as
+    one material. ``numbers`` (l, elements) are the node numbers of each element, None for the
+    numbers of scikit-fem. If edges or faces are collapsed, the numbers differ from those of
+    scikit-fem, because all nodes of a collapsed edge or face have one number.
 
     Raises
     ------
-    UsageError : an element has a negative volume, or an axisymmetric mesh crosses the axis.
+    UsageError : an element has a negative volume, an axisymmetric mesh crosses the axis, or its
+        materials are not isotropic about the axis.
     """
 
     mesh: Mesh
@@ -105,7 +109,7 @@ class Solid:
 
     @property
     def components(self) -> int:
-        """Number of components of the displacement."""
+        """Number d of displacement components."""
         return self.mesh.dim()
 
     @property
@@ -115,7 +119,7 @@ class Solid:
 
     @property
     def element(self) -> Any:
-        """Scalar finite element of the mesh."""
+        """Scalar scikit-fem element with the shape functions of one field component."""
         mesh = self.mesh
         if isinstance(mesh, MeshHex):
             return skfem.ElementHex1() if self.order == 1 else skfem.ElementHex2()
@@ -127,7 +131,10 @@ class Solid:
 
     @property
     def quadrature(self) -> int:
-        """Degree of exact integration, sufficient for the mass of straight quadratic tetrahedra."""
+        """Polynomial degree to which integration is exact.
+
+        This degree is sufficient for the mass matrix of quadratic tetrahedra with straight edges.
+        """
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
@@ -161,13 +168,16 @@ class Solid:
         return result
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
-        """Return the numbers of the nodes of some elements."""
+        """Return the node numbers of ``elements`` in ascending order."""
         return np.unique(self.basis(1).element_dofs[:, elements])
 
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """Matrices over all nodes of a solid without constraints; the module docstring defines them."""
+    """Finite-element matrices of all nodes of a solid without constraints.
+
+    The module docstring defines the matrices.
+    """
 
     M: sparse.csc_array
     K_uu: sparse.csc_array
@@ -178,10 +188,10 @@ class Operators:
 def list_strain_operators(
     solid: Solid, basis: skfem.Basis
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield shape functions and strain operators at each point of ``basis``.
+    """Yield shape functions N, strain operators B and gradients G at each point of ``basis``.
 
-    The l local shape functions have the values N (elements, l) and the gradients G (elements, 3,
-    l). The strain operator is B (elements, 6, l d). The arrays are yielded in the sequence N, B, G.
+    N (elements, l) are the values of the l local shape functions, and G (elements, 3, l) are their
+    gradients. B (elements, 6, l d) maps nodal displacements to strains.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.components, solid.axes
@@ -197,7 +207,7 @@ def list_strain_operators(
                 B[:, VOIGT_ROWS[x, y], :, i] += slope[j]
         if solid.axisymmetric:
             r = radius[:, q, None]
-            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # on the axis, u_r / r is the derivative of u_r
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # on the axis, u_r / r equals du_r / dr
             B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
         yield value, B.reshape(len(B), 6, -1), G
 
@@ -205,11 +215,11 @@ def list_strain_operators(
 def list_tensors(
     solid: Solid, basis: skfem.Basis, material: Material
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield stiffness, coupling and permittivity at each point of ``basis``.
+    """Yield stiffness, coupling and permittivity of a material at each point of ``basis``.
 
-    The tensors of the ``material`` are in the axes of the solid. Their first dimension is the
-    number of elements, or 1 if all elements have the same tensors. The axes of an axisymmetric
-    solid are cylindrical.
+    The tensors are in the axes of the solid. The length of their first dimension is the number of
+    elements, or 1 if all elements have the same tensors. In an axisymmetric solid, the axes are
+    cylindrical.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
     elements = np.arange(len(places)) if basis.tind is None else basis.tind
@@ -224,7 +234,7 @@ def list_tensors(
 def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
     """Yield each material with groups of at most ``CHUNK_SIZE`` of its elements.
 
-    ``only`` selects one material.
+    If ``only`` is the number of a material, only this material is yielded.
     """
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
@@ -234,10 +244,10 @@ def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np
 
 
 def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
-    """Assemble the matrices of a solid.
+    """Assemble the mass, stiffness, coupling and permittivity matrices of a solid.
 
     Only piezoelectric and dielectric materials contribute to coupling and permittivity. If ``only``
-    is a material, the matrices contain only its elements.
+    is the number of a material, the matrices include only the elements of this material.
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
@@ -276,10 +286,11 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 def _compute_stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
-    """Return the stiffness (elements, l d, l d) due to prestress: ``grad v . sigma0 grad u``.
+    """Return the element stiffness (elements, l d, l d) due to prestress at one point.
 
-    This expression is the same for each component of u. In axisymmetric solids, rotation of the
-    hoop direction adds ``sigma0_y v_r u_r / r^2``.
+    The stiffness is ``grad v . sigma0 grad u`` for each displacement component u with its test
+    function v and the prestress sigma0. In axisymmetric solids, the rotation of the hoop direction
+    adds ``sigma0_y v_r u_r / r^2``.
     """
     d, sigma = solid.components, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
@@ -293,10 +304,10 @@ def _compute_stress_stiffness(
 def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """Compute the share ``int N / int 1`` of each node (nodes,) in facets or elements.
+    """Return the share ``int N / int 1`` (nodes,) of each node in facets or elements.
 
-    The integrals of a body of revolution extend over the full turn. A line has a constant
-    cross-section in the facets or elements.
+    N is the shape function of a node. In axisymmetric solids, the integrals extend over the full
+    turn. For meshes of lines, the cross-section is assumed to be constant.
     """
     basis = (
         solid.facet_basis(facets, 4) if facets is not None else solid.basis(4, elements=elements)
@@ -307,10 +318,10 @@ def compute_node_shares(
 
 
 def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
-    """Compute the volume per displacement that a boundary displaces (d nodes,) [m^2].
+    """Return the volume that boundary facets displace per unit displacement of each node.
 
-    It is ``int N n dS`` with the outward normal n. The integrals of a body of revolution extend
-    over the full turn.
+    The displaced volume is ``int N n dS`` (d nodes,) [m^2] with the shape functions N and the
+    outward normal n. In axisymmetric solids, the integrals extend over the full turn.
     """
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
@@ -321,7 +332,7 @@ def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 
 def compute_area(solid: Solid, facets: np.ndarray) -> float:
-    """Compute the area [m^2] of a boundary, for a body of revolution over the full turn."""
+    """Return the area [m^2] of boundary facets; in axisymmetric solids, over the full turn."""
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
     return float((basis.dx * around).sum())
@@ -330,7 +341,11 @@ def compute_area(solid: Solid, facets: np.ndarray) -> float:
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:
-    """Sum element matrices (elements, l, k); each has arrays of row numbers and column numbers."""
+    """Add element matrices to a sparse matrix of the given ``shape``.
+
+    Each item of ``parts`` consists of element matrices (elements, l, k), their row numbers
+    (elements, l) and their column numbers (elements, k).
+    """
     total = sparse.csc_array(shape)
     for values, rows, columns in parts:
         i = np.broadcast_to(rows[:, :, None], values.shape).ravel()
@@ -340,5 +355,5 @@ def sum_matrices(
 
 
 def symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Return a matrix without the asymmetry that rounding errors cause."""
+    """Return the symmetric part of a matrix, without the asymmetry of rounding errors."""
     return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -1,7 +1,8 @@
 """Thermal constants of materials: conductivity, specific heat and density.
 
-``thermal_materials.toml`` contains the constants of the library with their sources. A material that
-states no density there has the density of the mechanical material of the same name.
+``thermal_materials.toml`` contains the constants of the library materials with their sources. A
+material without a density in this file has the density of the mechanical material with the same
+name.
 """
 
 from __future__ import annotations
@@ -28,13 +29,15 @@ SpecificHeat = Annotated[float, si("J/(kg K)")]
 
 @dataclass(frozen=True, eq=False)
 class ThermalMaterial(EqualByContent):
-    """Material that conducts and stores heat.
+    """Thermal constants of one material.
 
     Attributes
     ----------
-    name : name in the library, or name of the group of the mesh. density : density [kg/m^3].
-    specific_heat : specific heat at constant pressure [J/(kg K)]. conductivity : (3,) [W/(m K)]
-    along x, y and z; in a body of revolution, along the radius, around the axis and along the axis.
+    name : name in the library, or name of the mesh group.
+    density : mass density [kg/m^3].
+    specific_heat : specific heat at constant pressure [J/(kg K)].
+    conductivity : (3,) thermal conductivities [W/(m K)] along x, y and z. In a body of revolution,
+        these are the radial, hoop and axial directions.
     """
 
     name: str
@@ -49,9 +52,10 @@ class ThermalMaterial(EqualByContent):
 
 
 class ThermalMaterialTable(Section):
-    """Constants of a material in a scene or in the library.
+    """Thermal constants of a material in a scene or in the library.
 
-    With the key ``like``, the library material supplies the constants that the table omits.
+    A table with the key ``like`` inherits the constants that it omits from the library material of
+    that name.
     """
 
     like: str | None = Field(
@@ -74,7 +78,7 @@ class ThermalMaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add the constants of the material ``like`` that the table omits."""
+        """Add constants that the table omits, from the material that its key ``like`` names."""
         if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
             return data
         name = list_thermal_names().get(data["like"].lower())
@@ -83,7 +87,7 @@ class ThermalMaterialTable(Section):
         return dict(load_thermal_library()[name]) | dict(data)
 
     @model_validator(mode="after")
-    def _require_conduction(self) -> ThermalMaterialTable:
+    def _require_positive_conductivity(self) -> ThermalMaterialTable:
         if np.min(self.conductivity) <= 0:
             raise invalid_value_error(
                 "conductivity must be greater than 0",
@@ -93,21 +97,21 @@ class ThermalMaterialTable(Section):
         return self
 
     def build(self, name: str) -> ThermalMaterial:
-        """Return the material of the table with the name ``name``."""
+        """Return the material of the table, with the name ``name``."""
         conductivity = np.broadcast_to(np.asarray(self.conductivity, float), 3).copy()
         return ThermalMaterial(name, self.density, self.specific_heat, conductivity)
 
 
 @cache
 def _load_tables() -> Mapping[str, dict[str, Any]]:
-    """Return the tables of the library file, keyed by name; some contain no density."""
+    """Return the material tables of the library file, keyed by name; some have no density."""
     path = Path(__file__).parent / "thermal_materials.toml"
     return tomllib.loads(path.read_text("utf-8"))
 
 
 @cache
 def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
-    """Return the tables of the library with a density each, keyed by name."""
+    """Return the material tables of the library, keyed by name; each contains a density."""
     result = {}
     for name, table in _load_tables().items():
         density = {} if "density" in table else {"density": material(name).density}
@@ -124,7 +128,9 @@ def list_thermal_names() -> Mapping[str, str]:
 def find_thermal_material(
     name_or_table: str | Mapping[str, Any], where: str = "material"
 ) -> ThermalMaterial:
-    """Return a material of the library by its name, in upper or lower case, or from a table.
+    """Return the material with a name in the library, or the material of a table.
+
+    Names of the library may be written in upper or lower case.
 
     Raises
     ------
@@ -145,11 +151,11 @@ def find_thermal_material(
 
 
 def find_resistance_coefficient(name: str) -> float:
-    """Return the temperature coefficient [1/K] of the resistance of a metal of the library.
+    """Return the temperature coefficient [1/K] of the electrical resistance of a library metal.
 
     Raises
     ------
-    UsageError : the material does not exist, or lacks this constant.
+    UsageError : the material does not exist, or has no temperature coefficient.
 
     Examples
     --------
