@@ -1,4 +1,7 @@
-"""Part types declared by expressions, from which netlists, laws and checks are generated."""
+"""Part types that are declared by expressions for their energies, losses and states.
+
+Netlists, laws of the independent integrator, and checks are generated from these expressions.
+"""
 
 from kc2spice.physics.declaration import Declaration as Declaration
 from kc2spice.physics.declaration import branch as branch

@@ -1,7 +1,9 @@
-"""Netlist cards of a declaration, with a source of current or voltage for each branch.
+"""Generation of the netlist cards of a declared part.
 
-At the pins, 1 V represents the unit of the domain, such as 1 um; at inner nodes, 1 V represents the
-SI unit. A time derivative is the current of a capacitor whose voltage a source sets.
+The cards contain a current or voltage source for each branch of the declaration. At the pins, 1 V
+represents the pin unit of the domain, such as 1 um. At inner nodes, 1 V represents the SI unit. To
+differentiate a quantity, a source applies it as voltage to a capacitor, whose current is then the
+time derivative.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ _TIME_INTEGRALS = {
     "volume_velocity": ("volume", "m3"),
     "pressure": ("pressure impulse", "Pa s"),
 }
-_FLOW_COMMENTS = {
+_COMMENT_TEXTS = {
     "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; {word} = "
     "{factor}V({plus},{minus})",
     "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
@@ -101,7 +103,8 @@ def subcircuit_items(
 ) -> tuple[Item, ...]:
     """Return the cards between ``.subckt`` and ``.ends``, with their comments.
 
-    ``tables`` contains the tables of the declaration, and the derivatives of these tables.
+    With ``noise``, the cards include noise sources for the losses. ``tables`` contains the tables
+    of the declaration and the derivatives of these tables, keyed by name.
     """
     return attach_comments(_write_items(declaration, noise, tables))
 
@@ -114,14 +117,14 @@ def has_losses(declaration: Declaration) -> bool:
 def _write_items(
     declaration: Declaration, noise: bool, tables: Mapping[str, TableFunction]
 ) -> Iterator[Line]:
-    """Yield the cards of a declaration."""
+    """Yield the cards of a declaration, with comment lines before the cards."""
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
-    nodes, rest = _variable_trees(declaration), reference_pin_name(declaration)
+    nodes, rest = _list_variable_trees(declaration), reference_pin_name(declaration)
     linkages = find_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
-        nodes = {**nodes, **lookups.node_trees(), **_inner_voltages(declaration, linkages)}
+        nodes = {**nodes, **lookups.node_trees(), **_list_inner_voltages(declaration, linkages)}
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* power series {name}"
@@ -158,15 +161,17 @@ def _write_items(
             yield from make(declaration, branch, nodes, added[branch.name])
     yield from _write_kink_switches(declaration, nodes)
     for name, tree in declaration.output_trees.items():
-        yield f"* {_FLOW_COMMENTS['output'].format(plus=name, words=format_tree(tree))}"
+        yield f"* {_COMMENT_TEXTS['output'].format(plus=name, words=format_tree(tree))}"
         yield from _write_node(name, multiply_trees(Number("1e6"), tree), nodes, rest)
 
 
-def _inner_voltages(declaration: Declaration, linkages: FluxLinkages | None) -> dict[str, Tree]:
-    """Return the voltages to ground of the inner nodes of a part with lookups.
+def _list_inner_voltages(
+    declaration: Declaration, linkages: FluxLinkages | None
+) -> dict[str, Tree]:
+    """Return the voltages to ground of the inner nodes of a part with lookups, keyed by name.
 
     The reference pin of a part with lookups is at 0 V. ngspice evaluates the voltage of one node
-    faster than a difference of two nodes.
+    faster than the voltage between two nodes.
     """
     inner = inner_nodes(declaration)
     for name in linkages.current_names if linkages else ():
@@ -175,11 +180,11 @@ def _inner_voltages(declaration: Declaration, linkages: FluxLinkages | None) -> 
 
 
 def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the laws that may contain tables: forces, and voltages due to motion.
+    """Return the expressions that may contain tables: forces, and voltages due to motion.
 
     Raises
     ------
-    UsageError : another law contains a table.
+    UsageError : another expression of the declaration contains a table.
     """
     others = [*declaration.signal_trees.values(), *declaration.state_rates.values()]
     for b in declaration.stationary_branches:
@@ -198,13 +203,16 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards of the lookups' common cell, and of lookups that several laws use."""
+    """Yield the cards of the cell number that all lookups share, and of repeated lookups.
+
+    A repeated lookup occurs in several laws, and has a node.
+    """
     base = lookups.base
-    yield from map("* {}".format, wrap(_FLOW_COMMENTS["lookup"].format(points=lookups.points), 96))
+    yield from map("* {}".format, wrap(_COMMENT_TEXTS["lookup"].format(points=lookups.points), 96))
     yield Parameters(
         {"table_low": format_number(lookups.low), "table_step": format_number(lookups.step)}
     )
-    yield f"* {_FLOW_COMMENTS['cell'].format(cell=CELL_NODE, weight=WEIGHT_NODE)}"
+    yield f"* {_COMMENT_TEXTS['cell'].format(cell=CELL_NODE, weight=WEIGHT_NODE)}"
     cell = divide_trees(
         subtract_trees(lookups.argument or ZERO, Name("table_low")), Name("table_step")
     )
@@ -223,7 +231,7 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
 
 
 def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
-    """Yield the cards of a node whose voltage is the value of a lookup."""
+    """Yield the cards of the node ``name``, whose voltage is the value of a lookup."""
     law = format_tree(lookups.interpolation_expression(values))
     yield Element.behaviour(f"B{name}", lookups.base, name, "I", law)
     yield Element.of(f"R{name}", name, lookups.base, "1")
@@ -232,15 +240,16 @@ def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[L
 def _write_linkages(
     linkages: FluxLinkages, lookups: Lookups, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of currents that are functions of flux linkages.
+    """Yield the cards of branch currents as functions of the flux linkages.
 
-    The flux linkages are states. The means of the inverse inductances are separate cards, because
-    every lookup is 0 V before the first solution.
+    The flux linkages are states of the netlist. The inverse inductances are sums of their means and
+    of lookups. The means have separate cards, because every lookup is 0 V before the first
+    solution of the simulator.
     """
     henry, inverse = linkages.invert(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
     for k, l in combinations_with_replacement(range(count), 2):
-        name = _inverse_node(k, l)
+        name = _name_inverse_node(k, l)
         yield f"* {name}: {henry:.6g} H times the inverse inductances, minus their mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
@@ -251,20 +260,23 @@ def _write_linkages(
         for l, other in enumerate(linkages.branches):
             linkage = f"l_{other.name}"
             yield Element.of(f"G{n}_{other.name}", base, n, linkage, base, float(mean[k, l]))
-            terms.append(f"V({_inverse_node(k, l)})*V({linkage})")
+            terms.append(f"V({_name_inverse_node(k, l)})*V({linkage})")
         yield Element.behaviour(f"B{n}", base, n, "I", "+".join(terms))
         yield Element.of(f"R{n}", n, base, "1")
 
 
-def _inverse_node(k: int, l: int) -> str:
-    """Return the node of the element (k, l) of the inverse inductance matrix."""
+def _name_inverse_node(k: int, l: int) -> str:
+    """Return the name of the node for entry (k, l) of the inverse inductance matrix."""
     return f"lookup_g{min(k, l) + 1}{max(k, l) + 1}"
 
 
 def _write_linkage(
     declaration: Declaration, b: Branch, henry: float, motion: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of the resistance and of the flux linkage of a branch."""
+    """Yield the cards of the resistance and of the flux linkage of a current branch.
+
+    The law ``motion`` is the voltage that motion induces. The flux linkage is scaled by ``henry``.
+    """
     n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
     resistance = differentiate_tree(drop, n)
@@ -290,7 +302,7 @@ def _write_linkage(
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
-    """Yield the cards of a node whose voltage is the value of ``tree``."""
+    """Yield the cards of the node ``name``, whose voltage is the value of ``tree``."""
     yield from _write_current(name, (base, name), tree, nodes)
     yield Element.of(f"R{name}", name, base, "1")
 
@@ -298,15 +310,15 @@ def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> 
 def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of a current from the first to the second of the nodes ``ends``.
+    """Yield the cards of the current ``tree`` from the first to the second of the nodes ``ends``.
 
-    For an affine expression, the cards are linear sources, which need no differentiation in
-    ngspice.
+    For an affine expression, the cards are linear sources, so that ngspice need not differentiate
+    the expression.
     """
     start, end = ends
     dependencies = sorted(find_names(tree) & set(nodes))
     voltages = [_find_single_voltage(nodes[item]) for item in dependencies]
-    smooth = not find_kinks(tree) and not _circuit_variables(tree)
+    smooth = not find_kinks(tree) and not _list_circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
         yield Element.behaviour(
             f"B{name}", start, end, "I", format_tree(substitute_names(tree, nodes))
@@ -323,14 +335,17 @@ def _write_current(
         yield Element.of(f"I{name}", end, start, f"{{{format_tree(subtract_trees(ZERO, rest))}}}")
 
 
-def _circuit_variables(tree: Tree) -> list[CircuitVariable]:
+def _list_circuit_variables(tree: Tree) -> list[CircuitVariable]:
     """Return the node voltages and source currents in an expression."""
     return [node for node in walk_tree(tree) if isinstance(node, CircuitVariable)]
 
 
 def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
-    """Return the nodes of the only voltage in ``tree``; empty for several variables."""
-    variables = _circuit_variables(tree)
+    """Return the two nodes of the voltage that is the only circuit variable in ``tree``.
+
+    If ``tree`` contains another or several circuit variables, return an empty tuple.
+    """
+    variables = _list_circuit_variables(tree)
     if len(variables) == 1 and variables[0].kind == "v":
         return (*variables[0].names, "0")[:2]
     return ()
@@ -340,8 +355,8 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards of a mass, whose velocity is the voltage of a capacitor.
 
     The capacitance represents the mass, and the position is the integral of the velocity. If the
-    velocity is no pin, the force at the pins is both a node voltage and a current, because the
-    tolerance of the current is tighter.
+    velocity has no pin, the cards represent the force at the pins both as a node voltage and as a
+    current, because the simulator's tolerance for the current is tighter.
     """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
@@ -353,12 +368,16 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(
         f"Cmass_{n}", v, end, f"{{{format_tree(declaration.mass(b))}}}", IC=f"{{{fast}}}"
     )
-    shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
+    frame_branches = [
+        other for other in declaration.branches if other.domain.name == b.domain.frame
+    ]
     weight = declaration.direct_flow(b)
-    still = add_trees(substitute_names(weight, dict.fromkeys(names_of(shaken), ZERO)))
-    if still != ZERO:
-        yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(still)}}}")
-    for other in shaken:
+    constant_weight = add_trees(
+        substitute_names(weight, dict.fromkeys(names_of(frame_branches), ZERO))
+    )
+    if constant_weight != ZERO:
+        yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(constant_weight)}}}")
+    for other in frame_branches:
         share = format_tree(differentiate_tree(weight, other.name))
         yield _format_comment("shake", other, speed=v)
         yield Element.of(f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}")
@@ -368,7 +387,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
         yield Element.of(f"Gheld_{n}", base, force_node(b), b.plus, place, "1")
         yield Element.of(f"G{force_node(b)}", b.plus, base, force_node(b), base, "1")
         yield Element.of(f"Gpush_{n}", base, v, force_node(b), base, "1")
-        for other in shaken:
+        for other in frame_branches:
             share = format_tree(
                 divide_trees(differentiate_tree(weight, other.name), declaration.mass(b))
             )
@@ -377,8 +396,12 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
             )
 
 
-def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
-    """Return each coordinate, rate, state and signal as an expression of node voltages."""
+def _list_variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
+    """Return an expression of circuit variables for each variable of a declaration.
+
+    The keys are the names of coordinates, rates, states, signals and power series. The circuit
+    variables are node voltages and source currents.
+    """
     rest = reference_pin_name(declaration)
     series = declaration.power_series.values()
     inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
@@ -388,12 +411,15 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
         variable = (
             CircuitVariable("i", (meter_name(b),))
             if b.flows
-            else CircuitVariable("v", _coordinate_nodes(declaration, b))
+            else CircuitVariable("v", _find_coordinate_nodes(declaration, b))
         )
         result[b.name] = _scale_to_si(variable, factor)
-        high, low = _pin_velocity(declaration, b.plus), _pin_velocity(declaration, b.minus)
+        high, low = (
+            _find_pin_velocity(declaration, b.plus),
+            _find_pin_velocity(declaration, b.minus),
+        )
         sensed = _scale_to_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
-        plus_pin, minus_pin = _sensed_pins(declaration, b)
+        plus_pin, minus_pin = _find_sensed_pins(declaration, b)
         sensed = sensed if plus_pin != minus_pin else ZERO
         result[b.rate] = add_trees(sensed, subtract_trees(high, low))
         if node := declaration.velocities.get(b.name):
@@ -401,14 +427,14 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
     return result
 
 
-def _pin_velocity(declaration: Declaration, pin: str) -> Tree:
-    """Return the voltage of a pin's velocity node; zero if there is no such node."""
+def _find_pin_velocity(declaration: Declaration, pin: str) -> Tree:
+    """Return the voltage of the velocity node of a pin; zero if the pin has no such node."""
     speed = declaration.speeds.get(pin)
     return CircuitVariable("v", (speed,)) if speed else ZERO
 
 
 def inner_nodes(declaration: Declaration) -> dict[str, str]:
-    """Return the nodes of signals and states, keyed by the names of signals and states."""
+    """Return the netlist nodes of signals and states, keyed by signal name or state name."""
     result = dict(zip(declaration.signals, declaration.signals, strict=True))
     for name in declaration.states:
         result[name] = state_node(name)
@@ -422,7 +448,7 @@ def coordinate_quantity(b: Branch) -> Quantity:
 
 
 def _scale_to_si(tree: Tree, factor: float) -> Tree:
-    """Multiply a voltage or current by ``factor``, without simplification."""
+    """Return ``factor`` times a voltage or current, without simplification."""
     return tree if factor == 1 else Binary("*", _format_power_of_ten(factor), tree)
 
 
@@ -431,14 +457,14 @@ def _format_power_of_ten(value: float) -> Number:
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 
-def _coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Return the two nodes between which the voltage is the coordinate of a branch."""
+def _find_coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
+    """Return the two nodes between which the voltage represents the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
     return (f"x_{b.name}", reference_pin_name(declaration)) if separate else (b.plus, b.minus)
 
 
 def reference_pin_name(declaration: Declaration) -> str:
-    """Return the name of the pin that is the reference of loops and inner nodes."""
+    """Return the name of the pin to which the voltages of loops and inner nodes refer."""
     pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open_branches[0].minus
 
@@ -459,25 +485,25 @@ def force_node(branch: Branch) -> str:
 
 
 def _format_comment(kind: str, branch: Branch, **words: str) -> str:
-    """Return the comment of this ``kind`` about the flow of a branch."""
-    return f"* {_FLOW_COMMENTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
+    """Return the netlist comment of this ``kind`` about a branch."""
+    return f"* {_COMMENT_TEXTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
-def _time_integral(quantity: Quantity) -> tuple[str, str]:
+def _describe_time_integral(quantity: Quantity) -> tuple[str, str]:
     """Return the name and the SI unit of the time integral of a quantity."""
     plain = quantity.name.replace("_", " ")
     return _TIME_INTEGRALS.get(quantity.name, (f"integral of the {plain}", f"{quantity.unit} s"))
 
 
 def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards of the signals, then of the states."""
+    """Yield the cards of all signals, followed by the cards of all states."""
     base = reference_pin_name(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {format_tree(tree)}"
         yield from _write_node(name, tree, nodes, base)
     for name, tree in declaration.state_rates.items():
         node, rate = state_node(name), multiply_trees(Number(_UNIT_CAPACITANCE), tree)
-        yield f"* {_FLOW_COMMENTS['state'].format(node=node)}"
+        yield f"* {_COMMENT_TEXTS['state'].format(node=node)}"
         yield f"*   d/dt {name} = {format_tree(tree)}"
         yield Element.of(f"C{node}", node, base, _UNIT_CAPACITANCE)
         yield Element.of(f"R{node}", node, base, "1e15")
@@ -485,27 +511,37 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    """Return an expression in node voltages as text."""
+    """Return ``tree`` as text for a card, with node voltages in place of variables."""
     return format_tree(substitute_names(declaration.name_power_series(tree), nodes))
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
-    """Yield a capacitor and ``Vrate_NAME``, whose current is 1e-6 times the voltage's rate."""
+    """Yield the cards of a capacitor and of the source ``Vrate_NAME`` in series with it.
+
+    The current of the source is 1e-6 times the time derivative of the voltage between ``node`` and
+    ``minus``.
+    """
     yield Element.of(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
-def _sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Return the pins of a displacement; a pin with a velocity node becomes the reference."""
+def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
+    """Return the pins of the displacement that the netlist differentiates.
+
+    A pin with a velocity node is replaced by the reference pin.
+    """
     base = declaration.base or b.minus
     plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
     return plus, minus
 
 
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Yield the cards that differentiate the displacement of pins without velocity nodes."""
+    """Yield the cards that differentiate the displacement of a branch.
+
+    Pins with a velocity node do not contribute to this displacement.
+    """
     base = declaration.base or b.minus
-    plus, minus = _sensed_pins(declaration, b)
+    plus, minus = _find_sensed_pins(declaration, b)
     if plus != minus:
         yield _format_comment("rate", replace(b, plus=plus, minus=minus))
         yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
@@ -513,12 +549,12 @@ def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Yield the cards of a coordinate that is not the voltage between two pins.
+    """Yield the cards of the node for a coordinate that is not the voltage between two pins.
 
-    For a coordinate with a lag, the node has the voltage ``x + lag x'``. Here ``x'`` is estimated
-    by two RC low-pass filters in series, each with the time constant ``lag / 4`` and with the
-    outputs ``first`` and ``second``: ``x + 4 (2 x - first + second - first)``, up to terms of
-    second order in the lag.
+    For a coordinate x with a lag, the voltage of the node is ``x + lag x'``, up to terms of second
+    order in the lag. The derivative x' is estimated by two RC low-pass filters in series, each with
+    the time constant ``lag / 4``. With the filter outputs ``first`` and ``second``, the voltage is
+    ``x + 4 (2 x - first + second - first)``.
     """
     n, base, lag = b.name, reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
@@ -573,14 +609,19 @@ def _write_force(
 def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of a scaled stored quantity, such as a charge, and of its rate."""
+    """Yield the cards of the scaled stored quantity of a branch, and of its time derivative.
+
+    The stored quantity is a charge or a flux, for example.
+    """
     scale = declaration.set_to_rest(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
-    moved = _change_by_motion(declaration, stored) if scale == ZERO else scale
+    moved = _compute_change_by_motion(declaration, stored) if scale == ZERO else scale
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.name_power_series(stored), nodes)
-    if not b.flows:  # ngspice adds 1e-32 to scale^2 in the slope of a quotient
+    # A charge is multiplied by 1/scale, because ngspice adds 1e-32 to scale^2 in derivatives of
+    # quotients.
+    if not b.flows:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
@@ -589,10 +630,10 @@ def _write_stored_quantity(
     yield from _write_differentiator(b.name, node, b.minus)
 
 
-def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
-    """Return how much a stored quantity changes if a displacement changes by 1 um.
+def _compute_change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
+    """Return the change of a stored quantity per 1 um of a displacement.
 
-    The other coordinates are at rest. The first displacement with an effect counts.
+    All coordinates are zero. The first displacement on which the quantity depends is used.
     """
     for b in declaration.displacements:
         slope = declaration.set_to_rest(differentiate_tree(stored, b.name))
@@ -604,7 +645,7 @@ def _change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
 def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    """Yield the cards of the current of a voltage branch."""
+    """Yield the cards of the current through a voltage branch."""
     motion, charge = declaration.split_motion(declaration.stored_quantity(b))
     direct, inner = declaration.direct_flow(b), b.plus
     if motion != ZERO:
@@ -616,14 +657,14 @@ def _write_charge(
         inner = f"in_{b.name}"
         yield Element.of(meter_name(b), b.plus, inner, "0")
     if charge != ZERO:
-        integral, si_unit = _time_integral(b.domain.through_variable)
+        integral, si_unit = _describe_time_integral(b.domain.through_variable)
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         yield _format_comment("charge", b, node=f"q_{b.name}", **words)
         yield f"*   {integral} = {format_tree(declaration.name_power_series(charge))}"
         yield from _write_stored_quantity(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
         yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
-        yield f"* {_FLOW_COMMENTS['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
+        yield f"* {_COMMENT_TEXTS['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if heating:
@@ -637,14 +678,14 @@ def _write_charge(
 def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    """Yield the cards of the voltage of a current branch."""
+    """Yield the cards of the voltage across a current branch."""
     motion, flux = declaration.split_motion(declaration.stored_quantity(b))
     drop, inner = declaration.direct_flow(b), f"in_{b.name}"
     if motion != ZERO:
         drop = add_trees(drop, motion)
     unit = _format_power_of_ten(b.domain.across.per_unit)
     across = b.domain.across.name.replace("_", " ")
-    integral, si_unit = _time_integral(b.domain.across)
+    integral, si_unit = _describe_time_integral(b.domain.across)
     yield Element.of(meter_name(b), b.plus, inner, "0")
     if flux != ZERO:
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
@@ -662,12 +703,12 @@ def _write_flux(
 
 
 def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield switches at the kinks of laws, so that ngspice has time points at kinks.
+    """Yield a switch for each kink of a law, so that ngspice places a time point at the kink.
 
-    A step across a kink would change the energy of a spring. ngspice shortens its steps until the
-    control voltage of a switch is within 0.05 V of the threshold. The control voltage is 10 kV per
-    um of displacement, or 100 V per unit of a function of states. With these gains, the steps
-    before a fast crossing of a kink do not become too small.
+    A time step across a kink would change the energy of a spring. ngspice shortens its steps until
+    the control voltage of a switch is within 0.05 V of the threshold. The control voltage is 10 kV
+    per um of displacement, or 100 V per unit of a function of states. These gains are low enough
+    that the steps before a fast crossing of a kink do not become too small.
     """
     moved = {b.name: b for b in declaration.displacements}
     inner = {*declaration.states, *declaration.signals}
@@ -683,7 +724,7 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
         yield from pivot_cards(reference_pin_name(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference_pin_name(declaration))
-        yield f"* {_FLOW_COMMENTS['edge'].format(argument=format_tree(argument))}"
+        yield f"* {_COMMENT_TEXTS['edge'].format(argument=format_tree(argument))}"
         yield f"* edge {k + 1}" if k else _KINK_SWITCH
         watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))
         if declaration.metered and b is not None:

@@ -1,7 +1,7 @@
 """Declarations and laws of two coils and fixed magnets around a moving magnet.
 
-One coenergy is a function of the height of the moving magnet and of both currents. Because the
-magnetic materials are linear, the coenergy at each height is a quadratic function of the currents,
+The coenergy is a function of the height of the moving magnet and of both coil currents. Because the
+magnetic materials are linear, the coenergy at each height is a quadratic polynomial of the currents
 with the exponents in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of the
 coenergy are the force and the flux linkages.
 """
@@ -39,9 +39,8 @@ from kc2spice.physics.symbolic import (
     subtract_trees,
 )
 
-_TABLE_NAMES = tuple(
-    map("w{}".format, range(len(CURRENT_EXPONENTS)))
-)  # tables of the coenergy over the height
+# names of the tables of the coenergy's coefficients versus the height
+_TABLE_NAMES = tuple(map("w{}".format, range(len(CURRENT_EXPONENTS))))
 _TABLE_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
 _COIL_RESISTANCES = ("resistance_lower", "resistance_upper")
 _HEIGHT_PARAMETERS = ("raised", "y_min", "y_max")
@@ -55,7 +54,7 @@ _HEIGHT_LIMITS = {
 
 
 def _write_coenergy(height: str) -> str:
-    """Return the coenergy [J] as an expression of both currents and a height."""
+    """Return the text of the coenergy [J] as an expression of both currents and a height."""
     terms = []
     for table, (a, b) in zip(_TABLE_NAMES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
@@ -78,13 +77,16 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COIL_RESISTANCES),
         tables=_TABLE_NAMES,
         conductors=("i1", "i2"),
-        **_choose_pins(height, _COIL_RESISTANCES),
+        **_choose_declaration_options(height, _COIL_RESISTANCES),
     )
 
 
 @cache
 def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
-    """Return the declaration of both coils in series, with reversed current in the lower one."""
+    """Return the declaration of both coils in series, without inductance and back-EMF.
+
+    The current in the lower coil is reversed.
+    """
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
@@ -92,10 +94,10 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
-    """Return coils with a heat pin, whose temperature determines the resistances.
+    """Return the declaration of coils with a heat pin, whose temperature sets the resistances.
 
-    If a current follows a voltage signal, the signal is divided by the resistance ratio at the
-    temperature of the pin.
+    The declaration may contain current signals, which are computed from a voltage. These signals
+    are then divided by the resistance ratio at the temperature of the heat pin.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
@@ -108,7 +110,7 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
 
 @cache
 def declare_prescribed_currents() -> Declaration:
-    """Return the declaration of coils with the constant currents ``lower`` and ``upper``."""
+    """Return the declaration of coils whose currents are the parameters ``lower`` and ``upper``."""
     return _declare_force("lower", "upper", ("lower", "upper"), _RAISED_HEIGHT)
 
 
@@ -120,7 +122,10 @@ def _declare_force(
     branches: tuple[Branch, ...] = (),
     **physics: Any,
 ) -> Declaration:
-    """Return the declaration of the force alone, without back-EMF in the coils."""
+    """Return the declaration of the force on the magnet, without back-EMF in the coils.
+
+    ``i1`` and ``i2`` are expressions of the coil currents.
+    """
     currents = {"i1": parse_simplified(i1), "i2": parse_simplified(i2)}
     pull = differentiate_tree(parse_simplified(_write_coenergy(height), tables=_TABLE_NAMES), "y")
     force = substitute_names(subtract_trees(ZERO, pull), currents)
@@ -132,24 +137,31 @@ def _declare_force(
         forces={"y": ExpressionWriter().write(force)},
         ideal_work=True,
         tables=(*_TABLE_NAMES, *(p + SLOPE_SUFFIX for p in _TABLE_NAMES)),
-        **_choose_pins(height, names),
+        **_choose_declaration_options(height, names),
         **physics,
     )
 
 
-def _choose_pins(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return parameters and limits of a declaration for a law, or none for a netlist."""
+def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the arguments of a declaration that differ between law and netlist.
+
+    For a law, they are the parameters and limits of the height. For a netlist, they are the
+    velocity pin and the option ``metered``.
+    """
     if height == _RAISED_HEIGHT:
-        return {"given": _unset_parameters(*_HEIGHT_PARAMETERS, *names), "limits": _HEIGHT_LIMITS}
-    return {"given": _unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}
+        return {
+            "given": _make_unset_parameters(*_HEIGHT_PARAMETERS, *names),
+            "limits": _HEIGHT_LIMITS,
+        }
+    return {"given": _make_unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}
 
 
-def _unset_parameters(*names: str) -> tuple[Param, ...]:
+def _make_unset_parameters(*names: str) -> tuple[Param, ...]:
     return tuple(Param(name, 0.0, "-", "") for name in names)
 
 
 def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
-    """Return the tables of the coenergy and of its derivatives at ``points`` heights."""
+    """Return the tables of the coenergy and of its slopes at ``points`` heights, keyed by name."""
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])
     for order, end in enumerate(("", SLOPE_SUFFIX)):
@@ -167,26 +179,30 @@ def _evaluate_column(functions: PiecewisePolynomial, k: int, y: np.ndarray) -> n
 def make_law(
     name: str, declaration: Declaration, table: EMTable, raised: float = 0.0, **given: float
 ) -> DeclaredLaw:
-    """Make the law of coils with this ``table`` of finite-element solutions.
+    """Return the law of the coils, with a ``table`` of finite-element solutions.
 
-    The height of the magnet is ``raised`` [m] plus its coordinate.
+    The height of the magnet is its coordinate plus ``raised`` [m]. ``given`` are values of further
+    parameters.
     """
     known = dict(declaration.defaults)
     known |= dict(zip(_COIL_RESISTANCES, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)
-    return DeclaredLaw(name, declaration, values, tables=_table_functions(table.coenergy))
+    return DeclaredLaw(name, declaration, values, tables=_make_table_functions(table.coenergy))
 
 
-def _table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
-    """Return the functions that the declarations call; each height is computed only once."""
+def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
+    """Return the table functions that the declarations call, keyed by table name.
+
+    The tables have a common cache, so that each height is evaluated only once.
+    """
     result: dict[str, Callable[[float], float]] = {}
     for order, end in enumerate(_TABLE_SUFFIXES):
         values = lru_cache(maxsize=1)(coenergy.slopes[order])
         for k, table in enumerate(_TABLE_NAMES):
-            result[table + end] = partial(_value_at, values, k)
+            result[table + end] = partial(_evaluate_at_height, values, k)
     return result
 
 
-def _value_at(values: Callable[[float], Any], k: int, y: float) -> float:
+def _evaluate_at_height(values: Callable[[float], Any], k: int, y: float) -> float:
     return float(values(y)[k])

@@ -1,8 +1,8 @@
-"""Keys of parts with conductors whose resistance depends on the temperature of ``heat``.
+"""Scene keys of conductors whose resistance depends on the temperature of the pin ``heat``.
 
 The resistance is ``R0 (1 + alpha (T - T0))``. Here ``alpha`` is the temperature coefficient, ``T``
-the temperature of the pin ``heat`` relative to the pin ``ambient``, and ``T0`` the reference. A
-declaration contains the names of the conductors.
+the temperature of the pin ``heat`` relative to the pin ``ambient``, and ``T0`` the reference
+temperature. The field ``conductors`` of a declaration contains the names of the conductors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HEAT_TERMINALS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUN
 
 
 class ConductorKeys(Section):
-    """Keys of the resistance ``R0 (1 + alpha (T - T0))`` of a conductor with a heat pin."""
+    """Keys of the temperature-dependent resistance ``R0 (1 + alpha (T - T0))`` of a conductor."""
 
     temperature_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
@@ -34,14 +34,14 @@ class ConductorKeys(Section):
     reference_temperature: Annotated[float, si("K")] | None = Field(
         None,
         description=(
-            "Temperature rise over the pin ambient at which the resistance has its stated value; "
-            "0 K by default"
+            "Temperature of the pin `heat` relative to the pin `ambient` at which the resistance "
+            "has its stated value; 0 K by default"
         ),
     )
 
     @classmethod
     def __pydantic_init_subclass__(cls, **settings: Any) -> None:
-        """Move the keys of this base class behind the keys of the part."""
+        """Move the keys of this base class to the end of the list of the part's keys."""
         super().__pydantic_init_subclass__(**settings)
         for name in (COEFFICIENT, REFERENCE):
             cls.model_fields[name] = cls.model_fields.pop(name)
@@ -50,7 +50,7 @@ class ConductorKeys(Section):
 def conductor_values(keys: Section) -> tuple[float | None, float]:
     """Return the temperature coefficient [1/K] and the reference temperature [K] of a part.
 
-    The coefficient is None if no key states the coefficient.
+    The temperature coefficient is None if no key of the part states it.
     """
     if not isinstance(keys, ConductorKeys):
         return None, 0.0
@@ -58,12 +58,12 @@ def conductor_values(keys: Section) -> tuple[float | None, float]:
 
 
 def is_heated(part: Part, scene: DeclaredScene) -> bool:
-    """Return whether the heat pin of a part is joined in the scene."""
+    """Return whether the scene connects the heat pin of a part."""
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
 def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield errors of keys that have no effect, because the heat pin is not joined."""
+    """Yield an error for each conductor key without effect, if the heat pin is not connected."""
     if is_heated(part, scene):
         return
     for key in (COEFFICIENT, REFERENCE):
@@ -73,6 +73,6 @@ def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageErr
                 key,
                 "the key has no effect without a heat pin",
                 f"{value:g}",
-                f"a part that joins the pin {HEAT}",
-                f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or leave the key out',
+                f"a part whose pin {HEAT} is connected",
+                f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or delete the key',
             )

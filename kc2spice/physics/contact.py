@@ -1,4 +1,4 @@
-"""Declaration of contacts: penalty, Hertz or pressure law, with damping and friction."""
+"""Declaration of contacts with a penalty, Hertz or pressure law, damping and friction."""
 
 from __future__ import annotations
 
@@ -24,29 +24,31 @@ from kc2spice.physics.symbolic import (
 )
 
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Note on the mesh error of a pressure law, which is the error of the compliances behind it.
+# Note on the mesh error of a pressure law: the error of the compliances that the law is fitted to.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
-# In a test with compiled modules, a block slid 35 mm instead of 0.2 mm, without an error message.
+# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm instead of 0.2 mm,
+# and the simulator printed no error.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Law of the normal force and of the friction of a contact (Hunt and Crossley 1975).
+    """Law of the normal force and the friction force in a contact (Hunt and Crossley 1975).
 
     For an overlap x above zero, ``F = f(x) max(0, 1 + damping x')`` with
     ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x / depth)``.
 
-    ``stiffness`` has the unit N/m^power; ``power`` is 1 or 1.5. ``curve`` contains the coefficients
-    ``curve_0``, which is 1, ``curve_1``, …. A law with several coefficients is valid up to the
-    overlap ``depth`` [m] under a sphere of ``radius`` [m]. ``pace`` [s] is the time in which the
-    surfaces follow the force: the law contains ``x + pace x'`` in place of x. Surfaces that
-    separate faster than ``1 / damping`` do not pull on each other.
+    ``stiffness`` has the unit N/m^power, and ``power`` is 1 or 1.5. ``curve`` contains the
+    coefficients ``curve_0``, which is 1, ``curve_1``, …. A law with several coefficients is a
+    pressure law, which is valid for overlaps up to ``depth`` [m] under a sphere of ``radius`` [m].
+    ``pace`` [s] is the time constant with which the surfaces follow the force: the law contains ``x
+    + pace x'`` in place of x. The force is never attractive: it is zero if the surfaces separate
+    faster than ``1 / damping`` [m/s].
 
     ``friction`` is Coulomb's coefficient: the force ``F friction clip(v / creep)`` acts against
-    sliding at the speed v. Below the speed ``creep`` [m/s], friction is viscous; the surfaces do
-    not stick.
+    sliding at the speed v. Below the speed ``creep`` [m/s], the friction is viscous, so that the
+    surfaces do not stick.
     """
 
     stiffness: float
@@ -61,30 +63,34 @@ class ContactForce:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Stiffness and coefficients of the law in SI units, keyed by name."""
+        """Values in SI units of the names in the expressions of the law: stiffness and curve."""
         result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
         return {"eps": self.stiffness} | result
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:
-        """Return the energy, the elastic force and the complete force as expressions."""
-        return _contact_laws(self.power, len(self.curve), bool(self.damping))
+        """Expressions of the stored energy, the elastic force, and the force with damping."""
+        return _make_contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
-        """Return the stored energy ``int f dx`` [J]; 0 without contact."""
+        """Return the stored energy ``int f dx`` [J] at the overlaps ``x`` [m]; 0 for x < 0."""
         return np.asarray(evaluate_tree(self._laws[0], self.numbers | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Return the elastic force ``f(x)`` [N]; 0 without contact."""
+        """Return the elastic force ``f(x)`` [N] at the overlaps ``x`` [m]; 0 for x < 0."""
         return np.asarray(evaluate_tree(self._laws[1], self.numbers | {"x": x}))
 
 
 @cache
-def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
-    """Return energy, elastic force and complete force as expressions of ``x``, ``x_rate``."""
+def _make_contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
+    """Return expressions of stored energy, elastic force, and force with damping.
+
+    The variables are the overlap ``x`` and its rate ``x_rate``. ``count`` is the number of
+    coefficients of the curve.
+    """
     terms = []
-    # With the arguments in this order, max(0, x) has the slope 1 at x = 0, where Newton's method
-    # starts.
+    # With the arguments in the order (0, x), the derivative of max(0, x) is 1 at x = 0, where
+    # Newton's method starts.
     for k in range(count):
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
@@ -110,20 +116,23 @@ def declare_contact(
     carried: str = "",
     groove: float | None = None,
 ) -> Declaration:
-    """Return the declaration of a contact with the overlap ``u - bottom - gap`` at each port.
+    """Return the declaration of a contact between two bodies, at one or several contact rings.
 
-    Each of the ``ports`` is a ring. ``law`` is the law of the force on one ring, and ``gaps`` [m]
-    are the initial gaps of the rings. ``under`` contains the radius R of a sphere above the rings
-    and the radii r of the rings [m]. The gap ``r^2 / (R + sqrt(R^2 - r^2))`` under the sphere is
-    then added to ``gaps``, and R is the parameter ``radius``.
+    Each of the ``ports`` is a ring, at which the overlap is the displacement of the port, minus the
+    displacement of the lower side and minus the gap. ``law`` is the law of the force on one ring,
+    and ``gaps`` [m] are the initial gaps of the rings. ``under`` contains the radius R [m] of a
+    sphere above the rings and the radii r [m] of the rings. The gap ``r^2 / (R + sqrt(R^2 - r^2))``
+    under the sphere is then added to ``gaps``, and R is the parameter ``radius``.
 
-    A ``rigid`` side has the pins ``v`` and ``bottom``, or ``va`` and ``a`` if it is the first side.
-    An elastic side has its ports, or the pin ``b``. ``carried`` is a pin that carries the lower
-    side: the displacements of both are added. In a contact with friction, the pin ``slide`` moves
-    relative to the pin ``rail``. ``groove`` is the opening angle of a groove in degrees.
+    ``rigid`` states whether the first and the second side are rigid. A rigid first side has the
+    pins ``va`` (velocity) and ``a``, and a rigid second side has the pins ``v`` and ``bottom``. An
+    elastic first side has its ports as pins, and an elastic second side has the pin ``b``.
+    ``carried`` is a pin that carries the lower side; its displacement is added to the displacement
+    of the lower side. In a contact with friction, the pin ``slide`` moves relative to the pin
+    ``rail``. ``groove`` is the opening angle of a groove in degrees.
 
-    A pressure law holds for one radius of the sphere. For another radius, the overlap is multiplied
-    by ``share`` before the pressure is computed.
+    A pressure law is fitted for one radius of the sphere. For another radius, the overlap is
+    multiplied by ``share`` before the pressure is computed.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}
@@ -173,7 +182,7 @@ def declare_contact(
         tuple(branches),
         energy=ExpressionWriter().write(add_trees(*energies)),
         forces=forces,
-        given=tuple(_parameters(ports, gaps, law, under, groove)),
+        given=tuple(_list_parameters(ports, gaps, law, under, groove)),
         constants=constants,
         rating=CONTACT_RATING,
         validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
@@ -188,7 +197,7 @@ def declare_contact(
     )
 
 
-def _parameters(
+def _list_parameters(
     ports: tuple[str, ...],
     gaps: tuple[float, ...],
     law: ContactForce,

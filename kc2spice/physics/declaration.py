@@ -1,34 +1,35 @@
-"""Declarations of part types: expressions for their energies, losses and states.
+"""Declarations of part types by expressions for their energies, losses and states.
 
 ======================  ===================  =========================  =====================
-branch                  coordinate           through, into ``plus``     its rate
+branch                  coordinate           flow into ``plus``         rate of coordinate
 ======================  ===================  =========================  =====================
 :func:`displacement`    x [m]                force [N]                  ``x_rate`` [m/s]
 :func:`voltage`         v [V]                current [A]
 :func:`current`         i [A]                the coordinate itself
 ======================  ===================  =========================  =====================
 
-With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), the coenergy ``W``
-(of displacements, voltages, currents) and the content ``R`` (of rates, voltages, currents)::
+The flows are derivatives of four functions: the kinetic energy ``T`` of rates, the energy ``U`` of
+displacements, the coenergy ``W`` of displacements, voltages and currents, and the content ``R`` of
+rates, voltages and currents::
 
     force  = d/dt (dT/dx_rate) + dU/dx - dW/dx + dR/dx_rate
              + any of ``forces``, such as friction, which has no content
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
-A *measured* branch has a coordinate, but no flow through its pins: its coordinate is a signal. The
-``states`` satisfy ``dx/dt = f``, where f is a function of states, coordinates and rates. The
-expressions of content and forces may contain states. A controller, for example, is a content that
-depends on inputs and states.
+A *measured* branch has a coordinate, but no flow through its pins. Each of the ``states`` x
+satisfies an equation ``dx/dt = f``, where f is a function of states, coordinates and rates. The
+expressions of content and forces may contain states. A controller, for example, is declared by a
+content that depends on inputs and states.
 
 The stored energy is ``T + U - W + sum v q + sum i l``. The power that becomes heat is ``sum x_rate
-dR/dx_rate + sum v dR/dv + sum i dR/di``, plus the products of rates and ``forces``. For any
+dR/dx_rate + sum v dR/dv + sum i dR/di``, plus the products of rates and ``forces``. For all
 expressions, the energy that enters through the pins equals the increase of the stored energy plus
 the heat. (J. Meisel, Principles of Electromechanical Energy Conversion, 1966; content: W. Millar,
 Phil. Mag. 42 (1951) 1150.)
 
-With a heat pin (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
-through this pin, and the resistances of ``conductors`` follow its temperature.
+If a part has a heat pin (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the
+part through this pin, and the resistances of ``conductors`` depend on the temperature of the pin.
 """
 
 from __future__ import annotations
@@ -68,14 +69,14 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-TEMPERATURE = "temperature"  # coordinate of the heat pin, relative to the pin ``ambient``
-HEATING = "heating of the coil"  # name of the effect that only parts without a heat pin neglect
+TEMPERATURE = "temperature"  # name of the heat pin's temperature relative to the pin ``ambient``
+HEATING = "heating of the coil"  # name of an effect that only parts without a heat pin neglect
 COEFFICIENT = "temperature_coefficient"
 REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
-RATE = "_rate"  # suffix of the name of a displacement's velocity
-# Quantities that can be coordinates of a branch. Forces, torques and heat flows cannot: a force
-# determines no displacement, and no part stores energy by a flow of heat.
+RATE = "_rate"  # suffix that makes the name of a velocity from the name of a displacement
+# Quantities that can be coordinates of a branch. Forces and torques cannot, because a force does
+# not determine a displacement. Heat flows cannot, because a heat flow stores no energy.
 COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
@@ -88,10 +89,10 @@ COORDINATES = tuple(
 class Branch:
     """Branch of a declaration: a coordinate between two pins, and a flow through both pins.
 
-    ``kind`` is the quantity of the coordinate in a physical domain. ``through`` is the name of the
-    flow into the pin ``plus``; it is empty for a measured branch. The coordinate is the
-    displacement of ``plus`` minus the displacements of ``minus`` and of ``less``, a second pin that
-    moves with ``minus``.
+    ``kind`` is the physical quantity of the coordinate, and ``name`` is its name in expressions.
+    ``through`` is the name of the flow into the pin ``plus``; it is empty for a measured branch.
+    ``less`` is a second lower pin of a displacement branch. The coordinate is then the displacement
+    of ``plus`` minus the displacements of ``minus`` and ``less``.
     """
 
     kind: str
@@ -108,12 +109,12 @@ class Branch:
 
     @property
     def flows(self) -> bool:
-        """Whether the coordinate of the branch is a flow through the pins, such as a current."""
+        """Whether the coordinate is a flow through the pins, such as a current."""
         return QUANTITIES[self.kind][1] == "through"
 
     @property
     def moves(self) -> bool:
-        """Whether the coordinate of the branch is a position, such as a displacement."""
+        """Whether the coordinate is a displacement or an angle, whose rate is a velocity."""
         return self.domain.has_position and not self.flows
 
     @property
@@ -123,17 +124,20 @@ class Branch:
 
     @property
     def lossy_variable(self) -> str:
-        """Variable on which the losses of the branch depend: a velocity, or the coordinate."""
+        """Name of the variable on which the losses depend: the velocity or the coordinate."""
         return self.rate if self.moves else self.name
 
     @property
     def pins(self) -> tuple[str, ...]:
-        """Pins of the branch; a loop has none."""
+        """Names of the pins of the branch; a loop has no pins."""
         return tuple(filter(None, (self.plus, self.minus, self.less)))
 
     @property
     def across(self) -> str:
-        """Name of the result across the pins: the coordinate, or for a current its voltage."""
+        """Result name of the quantity across the pins, such as a displacement or a voltage.
+
+        The result name is the name of the coordinate, unless the coordinate is a flow.
+        """
         if not self.flows:
             return self.name
         through, word = self.domain.through_variable.symbol, self.domain.across.symbol
@@ -143,14 +147,14 @@ class Branch:
 def branch(
     kind: str, name: str = "", plus: str = "a", minus: str = "b", through: str = ""
 ) -> Branch:
-    """Make a branch of any domain, whose coordinate is the quantity ``kind``.
+    """Make a branch of any physical domain, whose coordinate is the quantity ``kind``.
 
-    An example of ``kind`` is ``"pressure"``. By default, the names of the coordinate and of the
-    flow are the symbols of both quantities in :mod:`kc2spice.core.domains`.
+    An example of ``kind`` is ``"pressure"``. By default, the coordinate and the flow have the
+    symbols of both quantities in :mod:`kc2spice.core.domains` as names.
 
     Raises
     ------
-    UsageError : no domain has this quantity, or no stored energy depends on this quantity.
+    UsageError : the quantity does not exist, or cannot be the coordinate of a branch.
 
     Examples
     --------
@@ -169,7 +173,7 @@ def displacement(
 ) -> Branch:
     """Make a branch whose coordinate is the displacement ``name`` [m] of ``plus``.
 
-    The displacements of ``minus`` and of ``less`` are subtracted.
+    The displacements of the pins ``minus`` and ``less`` are subtracted from it.
     """
     return Branch("displacement", name, plus, minus, force, less)
 
@@ -187,14 +191,14 @@ def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch
 def frame_acceleration(name: str, pin: str, base: str) -> Branch:
     """Make a measured branch whose coordinate is the acceleration of a frame of reference.
 
-    ``name`` is the name of the acceleration [m/s2]. In the netlist, the force that accelerates the
-    masses acts on ``pin``.
+    The acceleration [m/s2] has the name ``name``. In the netlist, the force that accelerates the
+    masses with the frame acts on ``pin``.
     """
     return Branch("acceleration", name, pin, base, "")
 
 
 def measured(branch: Branch) -> Branch:
-    """Return a copy of ``branch`` without a flow, such as the input of a sensor."""
+    """Return a copy of ``branch`` without a flow, for example for the input of a sensor."""
     return replace(branch, through="")
 
 
@@ -203,10 +207,10 @@ def loop(name: str) -> Branch:
     return Branch("current", name, "", "", name)
 
 
-def _unknown_name(
+def _make_unknown_name_error(
     part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
-    """Make the error about ``unknown`` names in the equation ``what`` of a part."""
+    """Make the error for ``unknown`` names in the expression ``what`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
         f"the {what} contains an unknown name",
@@ -220,7 +224,10 @@ def _unknown_name(
 
 
 def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
-    """Return the text of the resistance ratio ``R / R0 = 1 + alpha (T - T0)`` of conductors."""
+    """Return the expression text of the ratio ``R / R0 = 1 + alpha (T - T0)`` of a conductor.
+
+    R is the resistance at the ``temperature`` T, and R0 the resistance at the reference T0.
+    """
     return f"1 + {COEFFICIENT}*({temperature} - {REFERENCE})"
 
 
@@ -231,8 +238,8 @@ ONE_TEMPERATURE = (
     "not estimated",
 )
 
-# Hints about the field for a term that must not be in an energy.
-_OTHER_PLACES = {
+# Hints that name the correct field for a term that the energy or the coenergy must not contain.
+_FIELD_HINTS = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
     "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
 }
@@ -242,31 +249,31 @@ _OTHER_PLACES = {
 class Declaration:
     """Declaration of a part type, from which netlist, law and checks are generated.
 
-    Expressions contain the names of:
+    The expressions may contain the names of:
 
-    - keys in ``keys`` that are numbers, in SI units
+    - numeric keys of the section ``keys``, in SI units
     - additional parameters in ``given``
     - ``constants``, which are expressions of numeric keys, parameters and earlier constants
     - ``tables``, functions of one argument whose values are computed outside of the declaration
     - coordinates, rates, ``states`` and ``signals``
 
-    ``states`` maps each state to the expression of its rate. ``signals`` are expressions of
-    measured coordinates, states and earlier signals. ``kinetic`` is the energy of a mass, ``1/2 m
-    x_rate^2``. ``starts`` contains the names of the parameters for the displacement and velocity of
-    the mass at t = 0. Only forces at the pins and a constant weight act on the mass. ``forces``
-    contains dissipative forces as functions of coordinates and rates, keyed by displacement.
-    ``limits`` maps the description of a limit to an expression that must stay above zero. ``stops``
-    maps the description of a stop to an expression that is above zero in contact. ``neglected``
-    contains for each neglected effect its name, the reason and its size. ``validity`` describes the
-    range in which the equations hold. By default, the range is a constant temperature, or for a
-    part with heat pins, keys that do not depend on temperature.
+    ``states`` maps the name of each state to the expression of its time derivative. ``signals`` are
+    expressions of measured coordinates, states and earlier signals. ``kinetic`` is the energy of a
+    mass, ``1/2 m x_rate^2``. ``starts`` contains the names of the parameters for the displacement
+    and velocity of the mass at t = 0, keyed by displacement. Only forces at the pins and a constant
+    weight may act on the mass. ``forces`` contains dissipative forces as functions of coordinates
+    and rates, keyed by displacement. ``limits`` maps the description of a limit to an expression
+    that must stay above zero. ``stops`` maps the description of a stop to an expression that is
+    above zero in contact. ``neglected`` contains the name, the reason and the size of each
+    neglected effect. ``validity`` describes the range in which the equations hold. By default, this
+    is a constant temperature, or for a part with heat pins, that keys do not depend on temperature.
 
-    ``conductors`` are the branches of currents or voltages whose resistance rises with the
-    temperature of the heat pin. ``temperature_coefficient`` [1/K] is the rise relative to the
+    ``conductors`` are the names of current or voltage branches whose resistance rises with the
+    temperature of the heat pin. ``temperature_coefficient`` [1/K] is this rise, relative to the
     resistance at the reference temperature. If ``ideal_work`` is true, the power of ``forces`` is
-    the work of an ideal source, and not heat. If ``losses_of_model`` is true, a model that is built
-    later determines the losses. ``heated`` is true if the part has a heat pin, which
-    :meth:`with_heat_pin` adds. ``example`` contains the tables of a small scene in TOML; the list
+    the work of an ideal source, and not heat. If ``losses_of_model`` is true, the losses are known
+    only after a model is built. ``heated`` is true if the part has a heat pin, which
+    :meth:`with_heat_pin` adds. ``example`` contains the tables of a small scene in TOML. The list
     of part types shows the pins of the part in this scene. ``rating`` and ``sign`` are lines in the
     header of the library.
 
@@ -280,10 +287,11 @@ class Declaration:
     - ``base`` is the reference pin of inner nodes.
     - If ``metered`` is false, forces and currents have no separate nodes and sources.
     - ``no_module`` is the reason why the part cannot be a compiled Verilog-A module.
-    - ``inner`` are nodes between branches that are no pins of the part.
-    - ``velocities`` are nodes of the same subcircuit whose voltage is the rate of a displacement,
-      relative to its lower pin. Without such a node, the netlist differentiates the displacement.
-    - ``mesh`` describes the error estimate of the mesh or rings from which the numbers were
+    - ``inner`` are nodes between branches that are not pins of the part.
+    - ``velocities`` are nodes of the same subcircuit whose voltage is the velocity of a
+      displacement branch, keyed by displacement. Without such a node, the netlist differentiates
+      the displacement.
+    - ``mesh`` describes the error estimate of the mesh or rings from which parameter values were
       computed.
     """
 
@@ -329,11 +337,15 @@ class Declaration:
     def __post_init__(self) -> None:
         self._check_branches()
         known = {*self.parameters, *self.variables, *self.signals}
-        for what, tree in self._all_trees():
+        for what, tree in self._list_all_trees():
             if unknown := sorted(find_names(tree) - known):
-                raise _unknown_name(self.name, what, unknown, known, self._coordinate_hint(unknown))
-        self._check_names("energy", self._tree("energy"), set(names_of(self.displacements)))
-        self._check_names("coenergy", self._tree("coenergy"), set(names_of(self.acting_branches)))
+                raise _make_unknown_name_error(
+                    self.name, what, unknown, known, self._make_coordinate_hint(unknown)
+                )
+        self._check_names("energy", self._parse_field("energy"), set(names_of(self.displacements)))
+        self._check_names(
+            "coenergy", self._parse_field("coenergy"), set(names_of(self.acting_branches))
+        )
         earlier = {*self.states}
         for b in self.measured_branches:
             earlier |= {b.name, b.rate}
@@ -343,7 +355,7 @@ class Declaration:
         self._check_content()
 
     def _check_branches(self) -> None:
-        """Reject branches that are not a tuple, such as one branch without a comma."""
+        """Reject a value of ``branches`` that is not a tuple or list of branches."""
         value: object = self.branches
         if isinstance(value, tuple | list) and all(isinstance(b, Branch) for b in value):
             return
@@ -355,8 +367,11 @@ class Declaration:
             hint="write a comma after a single branch",
         )
 
-    def _coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Return a hint if an unknown name is the quantity of a coordinate; otherwise ""."""
+    def _make_coordinate_hint(self, unknown: Iterable[str]) -> str:
+        """Return a hint if an unknown name is the quantity of a coordinate, not its name.
+
+        Otherwise, return an empty string.
+        """
         for b in self.branches:
             if b.kind in unknown and b.kind != b.name:
                 return f"the coordinate of {b.kind!r} is {b.name}"
@@ -374,12 +389,15 @@ class Declaration:
                 where=self.name,
                 got=words,
                 expected=f"keys and {', '.join(sorted(allowed)) or 'numbers'}",
-                hint=_OTHER_PLACES.get(place, "").format(words) or None,
+                hint=_FIELD_HINTS.get(place, "").format(words) or None,
             )
 
     def _check_content(self) -> None:
-        """Reject a content without effect, as a function of a displacement and not of its rate."""
-        tree = self._tree("content")
+        """Reject a content that contains none of the variables that cause losses.
+
+        An example is a content that depends on a displacement and not on its rate.
+        """
+        tree = self._parse_field("content")
         variables = {b.lossy_variable for b in self.acting_branches}
         if tree != ZERO and not find_names(tree) & variables:
             raise UsageError(
@@ -390,10 +408,10 @@ class Declaration:
                 hint="use rates, such as x_rate for the velocity of the displacement x",
             )
 
-    def _all_trees(self) -> Iterable[tuple[str, Tree]]:
-        """Yield all expressions of the declaration with their names."""
-        yield from zip(_ENERGIES, map(self._tree, _ENERGIES), strict=True)
-        yield from (*self._forces.items(), *self.limit_trees.items(), *self.stop_trees.items())
+    def _list_all_trees(self) -> Iterable[tuple[str, Tree]]:
+        """Yield the name and the tree of each expression in the declaration."""
+        yield from zip(_ENERGIES, map(self._parse_field, _ENERGIES), strict=True)
+        yield from (*self._force_trees.items(), *self.limit_trees.items(), *self.stop_trees.items())
         yield from self.constant_trees.items()
         yield from (
             *self.output_trees.items(),
@@ -410,7 +428,11 @@ class Declaration:
 
     @property
     def offers_heat_pin(self) -> bool:
-        """Whether a heat pin can be added: the part has losses, and no thermal pins yet."""
+        """Whether a heat pin can be added.
+
+        The part must have losses, no pins in the thermal domain, and no names of its own that a
+        heat pin needs.
+        """
         names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
             *self.domains,
             *self.variables,
@@ -478,17 +500,17 @@ class Declaration:
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the branches' coordinates."""
+        """Names of the coordinates of all branches."""
         return tuple(names_of(self.branches))
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """Names of the time derivatives of displacements."""
+        """Names of the time derivatives of all displacement coordinates."""
         return tuple(b.rate for b in self.branches if b.moves)
 
     @cached_property
     def variables(self) -> frozenset[str]:
-        """Names of coordinates, rates and states."""
+        """Names of all coordinates, rates and states."""
         return frozenset((*self.coordinates, *self.rates, *self.states))
 
     @cached_property
@@ -503,7 +525,7 @@ class Declaration:
 
     @cached_property
     def stationary_branches(self) -> tuple[Branch, ...]:
-        """Acting branches whose coordinate is no displacement, such as currents and voltages."""
+        """Acting branches whose coordinate is not a displacement, but a voltage or current."""
         return tuple(b for b in self.acting_branches if not b.moves)
 
     @cached_property
@@ -523,7 +545,11 @@ class Declaration:
 
     @cached_property
     def domains(self) -> dict[str, Domain]:
-        """Domain of each pin, which an acting branch determines before a measured branch."""
+        """Physical domain of each pin, keyed by pin name.
+
+        If a pin belongs to an acting branch and a measured branch, the acting branch determines the
+        domain.
+        """
         result: dict[str, Domain] = {}
         for b in (*self.acting_branches, *self.branches):
             for pin in b.pins:
@@ -532,7 +558,7 @@ class Declaration:
 
     @property
     def valid_range(self) -> str:
-        """Range in which the equations hold, in words."""
+        """Description of the range in which the equations hold."""
         if self.validity:
             return self.validity
         if any(domain.is_relaxing for domain in self.domains.values()):
@@ -541,7 +567,7 @@ class Declaration:
 
     @cached_property
     def with_loop_pin(self) -> Declaration:
-        """The declaration, in which each loop begins and ends at the inner pin ``loops``."""
+        """This declaration with each loop between the inner pin ``loops`` and itself."""
         if self.open_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -549,7 +575,7 @@ class Declaration:
 
     @cached_property
     def branch_laws(self) -> tuple[Tree, ...]:
-        """Instantaneous flow and stored quantity of every branch, in the order of the branches."""
+        """Direct flow and stored quantity of each acting branch, in the order of the branches."""
         result: list[Tree] = []
         for branch in self.acting_branches:
             result += [self.direct_flow(branch), self.stored_quantity(branch)]
@@ -565,112 +591,116 @@ class Declaration:
         return result
 
     def name_power_series(self, tree: Tree) -> Tree:
-        """Return ``tree`` with names in place of its power series."""
+        """Return ``tree`` with the names from :attr:`power_series` in place of power series."""
         name = self.power_series.get(tree)
         return map_operands(tree, self.name_power_series) if name is None else Name(name)
 
     @cached_property
     def number_keys(self) -> tuple[str, ...]:
-        """Keys that are numbers."""
+        """Names of the keys that are numbers."""
         fields = self.keys.model_fields.items()
         return tuple(name for name, entry in fields if entry.annotation is float)
 
     @cached_property
     def defaults(self) -> dict[str, float]:
-        """Default values of the parameters that are no keys."""
+        """Default values of the parameters in ``given``, keyed by name."""
         return {param.name: param.default for param in self.given}
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of the keys that are numbers, and of the parameters that are no keys."""
+        """Names of the numeric keys, and of the parameters in ``given``."""
         return (*self.number_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
-        """Names of numeric keys, of further parameters, and of constants."""
+        """Names of the numeric keys, of the parameters in ``given``, and of the constants."""
         return (*self.numbers, *self.constants)
 
     # --- expressions ------------------------------------------------------------------------------
 
-    def _tree(self, what: str) -> Tree:
-        """Return the expression tree of the energy, coenergy, kinetic energy or content."""
+    def _parse_field(self, what: str) -> Tree:
+        """Return the expression tree of the field ``what``, such as energy or content."""
         return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
-    def _slope(self, what: str, name: str) -> Tree:
-        """Return the derivative of an energy or of the content with respect to a name."""
-        return differentiate_tree(self._tree(what), name)
+    def _differentiate_field(self, what: str, name: str) -> Tree:
+        """Return the derivative of the field ``what`` with respect to the variable ``name``."""
+        return differentiate_tree(self._parse_field(what), name)
 
-    def _parse(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
-        """Parse the expressions in ``stated``; errors contain the name of the part."""
+    def _parse_texts(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
+        """Return the expression trees of the texts in ``stated``.
+
+        Errors contain ``what`` and the name of the part.
+        """
         where = f"{what} of {self.name}"
         return {name: parse_simplified(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
-    def _forces(self) -> dict[str, Tree]:
-        """Expression trees of the dissipative forces."""
-        return self._parse("force", self.forces)
+    def _force_trees(self) -> dict[str, Tree]:
+        """Expression trees of the dissipative forces, keyed by displacement."""
+        return self._parse_texts("force", self.forces)
 
     @cached_property
     def limit_trees(self) -> dict[str, Tree]:
-        """Expression trees of the limits."""
-        return self._parse("limit", self.limits)
+        """Expression trees of the limits, keyed by description."""
+        return self._parse_texts("limit", self.limits)
 
     @cached_property
     def stop_trees(self) -> dict[str, Tree]:
-        """Expression trees of the stops."""
-        return self._parse("stop", self.stops)
+        """Expression trees of the stops, keyed by description."""
+        return self._parse_texts("stop", self.stops)
 
     @cached_property
     def limit_variables(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which each limit depends."""
+        """Names of the variables on which a limit depends, keyed by description of the limit."""
         return {name: self._list_variables(tree) for name, tree in self.limit_trees.items()}
 
     @cached_property
     def stop_variables(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which each stop depends."""
+        """Names of the variables on which a stop depends, keyed by description of the stop."""
         return {name: self._list_variables(tree) for name, tree in self.stop_trees.items()}
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
-        """Return the names of the variables in an expression."""
+        """Return the names in an expression that are not parameters."""
         return find_names(tree).difference(self.parameters)
 
     @cached_property
     def constant_trees(self) -> dict[str, Tree]:
-        """Expression trees of the constants."""
-        return self._parse("constant", self.constants)
+        """Expression trees of the constants, keyed by name."""
+        return self._parse_texts("constant", self.constants)
 
     @cached_property
     def state_rates(self) -> dict[str, Tree]:
-        """Expression trees of the time derivatives of the states."""
-        return self._parse("state", self.states)
+        """Expression trees of the time derivatives of the states, keyed by state."""
+        return self._parse_texts("state", self.states)
 
     @cached_property
     def signal_trees(self) -> dict[str, Tree]:
-        """Expression trees of the signals."""
-        return self._parse("signal", self.signals)
+        """Expression trees of the signals, keyed by name."""
+        return self._parse_texts("signal", self.signals)
 
     @cached_property
-    def _signal_inputs(self) -> dict[str, Tree]:
+    def _expanded_signals(self) -> dict[str, Tree]:
+        """Signals as expressions that contain no other signals, keyed by name."""
         result: dict[str, Tree] = {}
         for name, tree in self.signal_trees.items():
             result[name] = substitute_names(tree, result)
         return result
 
     def without_signals(self, tree: Tree) -> Tree:
-        """Return ``tree`` with expressions in place of signals."""
-        return add_trees(substitute_names(tree, self._signal_inputs)) if self.signals else tree
+        """Return ``tree`` with the expression of each signal in place of its name."""
+        return add_trees(substitute_names(tree, self._expanded_signals)) if self.signals else tree
 
     @cached_property
     def output_trees(self) -> dict[str, Tree]:
-        """Expression trees of the outputs."""
-        return self._parse("output", self.outputs)
+        """Expression trees of the output pins' displacements, keyed by pin."""
+        return self._parse_texts("output", self.outputs)
 
     def direct_flow(self, branch: Branch) -> Tree:
         """Return the flow of a branch without the rate of its stored quantity.
 
-        The result is the force without the rate of a momentum, or the current without the rate of a
-        charge. For a branch whose coordinate is a current, the result is the voltage without the
-        rate of the flux.
+        The direct flow is the force without the rate of the momentum, or the current without the
+        rate of the charge. For a branch whose coordinate is a current, the direct flow is the
+        voltage without the rate of the flux.
         """
         if branch == self.heat_branch:
             return subtract_trees(ZERO, self.heat_power)
@@ -678,27 +708,36 @@ class Declaration:
         if not branch.moves:
             return dissipative
         stored = subtract_trees(
-            self._slope("energy", branch.name), self._slope("coenergy", branch.name)
+            self._differentiate_field("energy", branch.name),
+            self._differentiate_field("coenergy", branch.name),
         )
-        return add_trees(stored, dissipative, self._forces.get(branch.name, ZERO))
+        return add_trees(stored, dissipative, self._force_trees.get(branch.name, ZERO))
 
     def _lossy_flow(self, branch: Branch) -> Tree:
-        """Return the flow of a branch due to its losses; for a current, the resistive voltage."""
-        slope = self._slope("content", branch.lossy_variable)
+        """Return the part of a branch's flow that its losses cause.
+
+        For a branch whose coordinate is a current, this is the voltage across its resistance.
+        """
+        slope = self._differentiate_field("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
             return slope
         ratio = parse_simplified(write_resistance_ratio())
         return (multiply_trees if branch.flows else divide_trees)(slope, ratio)
 
     def delayed_flow(self, branch: Branch) -> Tree:
-        """Return the force of a displacement; the rates of coordinates with a lag are zero."""
+        """Return the direct force of a displacement branch for a netlist with lags.
+
+        The rates of coordinates with a lag are replaced by zero, because these coordinates already
+        contain their rates.
+        """
         tree = self.direct_flow(branch)
         return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss_coefficient(self, branch: Branch) -> Tree:
         """Return the small-signal damping, conductance or resistance of a branch.
 
-        The coefficient is zero for a heat flow, which has no thermal noise.
+        The coefficient determines the thermal noise of the branch. For a heat flow, which has no
+        thermal noise, the coefficient is zero.
         """
         if branch.domain.power == "through":
             return ZERO
@@ -710,13 +749,14 @@ class Declaration:
         The flow of the branch is the rate of this quantity plus :meth:`direct_flow`.
         """
         if branch.moves:
-            return self._slope("kinetic", branch.rate)
-        return self._slope("coenergy", branch.name)
+            return self._differentiate_field("kinetic", branch.rate)
+        return self._differentiate_field("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Split a stored quantity into its rate due to motion, and the quantity at rest.
+        """Split a stored quantity into its rate due to motion, and the part without motion.
 
-        The quantity must be affine in displacements with a node in ``velocities``.
+        The motion is that of the displacements with a node in ``velocities``. The stored quantity
+        must be an affine function of these displacements.
         """
         moving = [b for b in self.displacements if b.name in self.velocities]
         if not moving:
@@ -731,23 +771,25 @@ class Declaration:
 
     @cached_property
     def stored_energy(self) -> Tree:
-        """Expression of the stored energy [J]."""
+        """Expression of the energy [J] that the part stores."""
         products = []
         for b in self.stationary_branches:
             products.append(multiply_trees(Name(b.name), self.stored_quantity(b)))
-        total = add_trees(self._tree("kinetic"), self._tree("energy"), *products)
-        return subtract_trees(total, self._tree("coenergy"))
+        total = add_trees(self._parse_field("kinetic"), self._parse_field("energy"), *products)
+        return subtract_trees(total, self._parse_field("coenergy"))
 
     @cached_property
     def _powers_of_forces(self) -> tuple[Tree, ...]:
-        """Expressions of the power [W] of each entry of ``forces``."""
-        return tuple(multiply_trees(Name(name + RATE), tree) for name, tree in self._forces.items())
+        """Expressions of the power [W] that each of the ``forces`` takes from the motion."""
+        return tuple(
+            multiply_trees(Name(name + RATE), tree) for name, tree in self._force_trees.items()
+        )
 
     @cached_property
     def dissipation(self) -> Tree:
-        """Expression of the power [W] that becomes heat.
+        """Expression of the power [W] that all branches and ``forces`` dissipate.
 
-        A branch of the thermal domain contributes the product of temperature and heat flow.
+        For a branch of the thermal domain, this is the product of temperature and heat flow.
         """
         moving = (b for b in self.branches if b.moves)
         rates = map(self._dissipated_power, moving)
@@ -769,8 +811,9 @@ class Declaration:
     def network_loss(self) -> Tree:
         """Expression of the power that enters through the pins and is not stored.
 
-        The power at a pin is the product of the across and the through quantity; at a heat pin, of
-        temperature and heat flow. Over a network, these products sum to zero (Tellegen's theorem).
+        The power at a pin is the product of the across and the through quantity. At a heat pin, it
+        is the product of temperature and heat flow. The sum of these products over all pins of a
+        network is zero (Tellegen's theorem).
         """
         branch = self.heat_branch
         if branch is None:
@@ -781,16 +824,16 @@ class Declaration:
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
-        """Equations of the part as text: flow of each branch, or voltage of a current."""
-        result = [*filter(None, map(self._equation, self.acting_branches))]
+        """Equations of the part as text: of branch flows, signals and states."""
+        result = [*filter(None, map(self._write_equation, self.acting_branches))]
         for name, tree in self.signal_trees.items():
             result.append(f"{name} = {ExpressionWriter().write(tree)}")
         for name, tree in self.state_rates.items():
             result.append(f"d/dt {name} = {ExpressionWriter().write(tree)}")
         return tuple(result)
 
-    def _equation(self, branch: Branch) -> str:
-        """Return the equation of the flow of a branch as text; empty for a zero flow."""
+    def _write_equation(self, branch: Branch) -> str:
+        """Return the equation of a branch's flow as text; empty if the flow is zero."""
         direct = self.name_power_series(self.direct_flow(branch))
         storage = self.name_power_series(self.stored_quantity(branch))
         terms = [f"d/dt ({ExpressionWriter().write(storage)})"] if storage != ZERO else []
@@ -799,7 +842,10 @@ class Declaration:
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def set_to_rest(self, tree: Tree, variable: str = "") -> Tree:
-        """Return ``tree`` with zero for all coordinates, rates and states except ``variable``."""
+        """Return ``tree`` with zero in place of each variable except ``variable``.
+
+        Variables are coordinates, rates and states.
+        """
         still = self.variables - {variable}
         try:
             return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
@@ -822,14 +868,21 @@ class Declaration:
 
     @cached_property
     def branches_with_rate(self) -> tuple[Branch, ...]:
-        """Displacement branches whose rates occur in an equation."""
-        trees = [self._tree("kinetic"), self._tree("content"), *self._powers_of_forces]
+        """Displacement branches whose rates occur in an expression of the declaration."""
+        trees = [
+            self._parse_field("kinetic"),
+            self._parse_field("content"),
+            *self._powers_of_forces,
+        ]
         trees += (*self.state_rates.values(), *self.signal_trees.values())
         occurring = frozenset[str]().union(*map(find_names, trees))
         return tuple(b for b in self.branches if b.rate in occurring)
 
     def values(self, keys: Section) -> dict[str, float]:
-        """Return the values of all parameters of a part in SI units, keyed by name."""
+        """Return the values of all parameters for a part with ``keys``, in SI units.
+
+        The values are keyed by parameter name.
+        """
         result = {name: float(getattr(keys, name)) for name in self.number_keys}
         result |= self.defaults
         for name, tree in self.constant_trees.items():

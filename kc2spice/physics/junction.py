@@ -1,7 +1,7 @@
-"""Law of a junction diode with the equations and constants of ngspice.
+"""Law of a junction diode, with the equations and constants of ngspice.
 
-The independent integrator solves this law. The netlist of a diode contains the built-in diode model
-of the simulator.
+The independent integrator solves this law. The netlist does not contain it, because a diode in a
+netlist is the built-in diode model of the simulator.
 """
 
 from __future__ import annotations
@@ -16,34 +16,35 @@ import numpy as np
 from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
-# J/K and C, constants of ngspice (include/ngspice/const.h; CODATA 2014). With the exact constants
-# of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7, and the current at 0.6 V
-# smaller by the factor 1 - 8e-6.
+# Boltzmann constant [J/K] and elementary charge [C] of ngspice (include/ngspice/const.h; CODATA
+# 2014). With the exact constants of the SI, the thermal voltage would be larger by the factor 1 +
+# 3.4e-7, and the current at 0.6 V smaller by the factor 1 - 8e-6.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
 SIMULATOR_CHARGE = 1.6021766208e-19
 THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
-MIN_CONDUCTANCE = 1e-12  # S, in parallel with each junction of ngspice (option gmin)
-# default parameters of the model D in SPICE; the grading coefficient M is 0.5
-BUILT_IN_VOLTAGE = 1.0  # V, VJ
+MIN_CONDUCTANCE = 1e-12  # conductance [S] in parallel with each junction in ngspice (option gmin)
+# default parameters of the SPICE diode model; the grading coefficient M is 0.5
+BUILT_IN_VOLTAGE = 1.0  # built-in voltage VJ [V]
 FORWARD_SHARE = 0.5  # FC, share of VJ above which the capacitance rises linearly
-BREAKDOWN_CURRENT = 1e-3  # A, IBV, current at the breakdown voltage
-# Reverse voltage, in thermal voltages, beyond which ngspice replaces the exponential function.
+BREAKDOWN_CURRENT = 1e-3  # current IBV [A] at the breakdown voltage
+# Reverse voltage, in thermal voltages, beyond which ngspice replaces the exponential law of the
+# current by a cubic law.
 REVERSE_RANGE = 3.0
-BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each reduces the error by 1e-5
+BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each reduces the error by the factor 1e-5
 # Distance from the breakdown voltage, in thermal voltages, within which steps of Newton's method
-# are limited.
+# are limited as in the forward direction.
 BREAKDOWN_MARGIN = 10.0
-# Largest step of Newton's method, in thermal voltages, that is not limited.
+# Largest voltage change in a Newton step, in thermal voltages, that is not limited.
 MAX_UNLIMITED_CHANGE = 2.0
 
 
 def limit_junction_voltage(v: float, last: float, scale: float, critical: float) -> float:
     """Return the voltage [V] at which Newton's method next evaluates an exponential law.
 
-    ``v`` is the solution with the law linearised at the voltage ``last``. Above the ``critical``
-    voltage, the exponential function at ``v`` would be far too large. The next voltage is then the
-    voltage at which the exponential law has the current of the linearised law (Nagel, SPICE2,
-    Memorandum ERL-M520, Berkeley 1975)::
+    ``v`` is the solution of the equations that are linearised at the voltage ``last``. If ``v``
+    exceeds the ``critical`` voltage, the exponential law at ``v`` would give a far too large
+    current. The next voltage is then the voltage at which the exponential law gives the current of
+    the linearised law (Nagel, SPICE2, Memorandum ERL-M520, Berkeley 1975)::
 
         exp(next / scale) = exp(last / scale) (1 + (v - last) / scale)
 
@@ -58,7 +59,7 @@ def limit_junction_voltage(v: float, last: float, scale: float, critical: float)
     return last + scale * math.log(ratio) if ratio > 0.0 else critical
 
 
-def _exponential(x: float) -> float:
+def _exponential_or_infinity(x: float) -> float:
     """Return ``exp(x)``; infinity if the result is too large for a float."""
     try:
         return math.exp(x)
@@ -68,10 +69,10 @@ def _exponential(x: float) -> float:
 
 @dataclass(frozen=True)
 class Junction(Device):
-    """Law of a junction from ``anode`` to ``cathode``, in series with a resistance.
+    """Law of a diode junction in series with a resistance, from ``anode`` to ``cathode``.
 
-    At the junction voltage ``v``, the current is ``i(v)`` plus the rate of the charge ``q(v)``. The
-    equations contain the parameter names of SPICE::
+    At the junction voltage ``v``, the current is ``i(v)`` plus the time derivative of the charge
+    ``q(v)``. The equations contain the parameter names of SPICE::
 
         i = IS (exp(v/(N VT)) - 1) + gmin v                   for v > -3 N VT
         i = -IS (1 + (3 N VT/(e v))^3) + gmin v               in reverse
@@ -91,24 +92,24 @@ class Junction(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """The two pins, and the node between the resistance and the junction."""
+        """Anode, cathode, and the inner node between the resistance and the junction."""
         ends = LawPin("anode", "electrical"), LawPin("cathode", "electrical", grounded=True)
         return (*ends, LawPin("inner", "electrical")) if self.series_resistance else ends
 
     @property
     def _positive_pin(self) -> str:
-        """Pin at the positive end of the junction."""
+        """Pin or inner node at the positive end of the junction."""
         return "inner" if self.series_resistance else "anode"
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Voltages of the junction and of the resistance."""
+        """Voltages across the junction and across the resistance."""
         junction = AcrossInput(self._positive_pin, "cathode")
         return (junction, AcrossInput("anode", "inner")) if self.series_resistance else (junction,)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Currents of the junction and of the resistance."""
+        """Currents through the junction and through the resistance."""
         junction = Flow(self._positive_pin, "cathode")
         return (junction, Flow("anode", "inner")) if self.series_resistance else (junction,)
 
@@ -118,7 +119,7 @@ class Junction(Device):
     def _emission_voltage(self) -> float:
         """Emission coefficient N times thermal voltage VT [V].
 
-        A voltage step of this size multiplies the current by e.
+        If the forward voltage rises by this value, the current is multiplied by e.
         """
         return self.emission * THERMAL_VOLTAGE
 
@@ -147,37 +148,37 @@ class Junction(Device):
             start = self.breakdown_voltage - self._emission_voltage * rise
         return start
 
-    def _current(self, v: float) -> tuple[float, float, float]:
-        """Return the current [A] at a voltage, its slope [S], and its integral [W] from 0 V."""
-        current, slope, content = self._exponential_current(v)
+    def _compute_current(self, v: float) -> tuple[float, float, float]:
+        """Return the current [A] at a voltage, its slope [S], and its integral from 0 V [W]."""
+        current, slope, content = self._compute_exponential_current(v)
         return (
             current + MIN_CONDUCTANCE * v,
             slope + MIN_CONDUCTANCE,
             content + 0.5 * MIN_CONDUCTANCE * v**2,
         )
 
-    def _exponential_current(self, v: float) -> tuple[float, float, float]:
-        """Return the current [A] without ``gmin``, its slope [S], and its integral [W]."""
+    def _compute_exponential_current(self, v: float) -> tuple[float, float, float]:
+        """Return the current [A] without ``gmin``, its slope [S], and its integral from 0 V [W]."""
         current, scale = self.saturation_current, self._emission_voltage
         first, last = -REVERSE_RANGE * scale, -self._breakdown_start
         if v >= first:
-            rise = current * _exponential(v / scale)
+            rise = current * _exponential_or_infinity(v / scale)
             return rise - current, rise / scale, scale * (rise - current) - current * v
         begin = current * (scale * (math.exp(-REVERSE_RANGE) - 1.0) - first)
         width = REVERSE_RANGE * scale / math.e
 
         def integrate_reverse(v: float) -> float:
-            """Return the integral of the current from 0 V to a reverse voltage."""
+            """Return the integral [W] of the current from 0 V to the reverse voltage ``v``."""
             return begin - current * (v - first + 0.5 * width**3 * (first**-2 - v**-2))
 
         if v >= last:
             decay = (width / v) ** 3
             return -current * (1.0 + decay), 3.0 * current * decay / v, integrate_reverse(v)
-        rise = current * _exponential((last - v) / scale)
+        rise = current * _exponential_or_infinity((last - v) / scale)
         return -rise, rise / scale, integrate_reverse(last) + scale * (rise - current)
 
-    def _depletion(self, v: float) -> tuple[float, float, float]:
-        """Return the depletion charge [C], its capacitance [F] and its coenergy [J]."""
+    def _compute_depletion_charge(self, v: float) -> tuple[float, float, float]:
+        """Return the depletion charge [C] at a voltage, the capacitance [F] and coenergy [J]."""
         volt, below = BUILT_IN_VOLTAGE, min(v, FORWARD_SHARE * BUILT_IN_VOLTAGE)
         root = math.sqrt(1.0 - below / volt)
         charge, farad = 2.0 * self.capacitance * volt * (1.0 - root), self.capacitance / root
@@ -187,52 +188,56 @@ class Junction(Device):
         coenergy += over * (charge + over * (farad / 2.0 + over * slope / 6.0))
         return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
 
-    def _charge(self, v: float) -> tuple[float, float, float]:
-        """Return the total charge [C] at a voltage, the capacitance [F] and the energy [J]."""
-        current, slope, content = self._current(v)
-        charge, farad, coenergy = self._depletion(v)
+    def _compute_charge(self, v: float) -> tuple[float, float, float]:
+        """Return depletion and diffusion charge [C], its capacitance [F] and energy [J]."""
+        current, slope, content = self._compute_current(v)
+        charge, farad, coenergy = self._compute_depletion_charge(v)
         charge += self.transit_time * current
         energy = v * charge - coenergy - self.transit_time * content
         return charge, farad + self.transit_time * slope, energy
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the currents and conductances of the junction and of the resistance."""
-        slope = [self._current(float(e[0]))[1]]
+        """Return the currents [A] and conductances [S] of the junction and the resistance."""
+        slope = [self._compute_current(float(e[0]))[1]]
         if self.series_resistance:
             slope.append(1.0 / self.series_resistance)
         return self.evaluate_outputs(e, mode), np.diag(slope)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the currents of the junction and of the resistance."""
-        current = self._current(float(e[0]))[0]
+        """Return the currents [A] through the junction and through the resistance."""
+        current = self._compute_current(float(e[0]))[0]
         return np.array([current, *(e[1:] / (self.series_resistance or 1.0))])
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the charge [C] of the junction and its derivatives [F]."""
-        charge, farad, _ = self._charge(float(e[0]))
+        """Return the charge [C] of the junction and its derivatives [F] by the inputs ``e``."""
+        charge, farad, _ = self._compute_charge(float(e[0]))
         return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the charge [C] of the junction."""
-        return np.array([self._charge(float(e[0]))[0]])
+        """Return the charge [C] that the junction stores."""
+        return np.array([self._compute_charge(float(e[0]))[0]])
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Return the energy [J] of the stored charge."""
-        return self._charge(float(e[0]))[2]
+        """Return the energy [J] of the charge that the junction stores."""
+        return self._compute_charge(float(e[0]))[2]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
         """Return the power [W] that junction and resistance dissipate."""
         return float(e @ self.evaluate(e, mode)[0])
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the shot noise, with the density ``2 q |i|``, and the noise of the resistance."""
+        """Return the amplitudes of shot noise, with the density ``2 q |i|``, and thermal noise."""
         out, slope = self.evaluate(e, mode)
         powers = np.diagonal(slope).copy()
         powers[0] = abs(out[0]) / (2.0 * THERMAL_VOLTAGE)
         return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Limit the step of the junction voltage in the forward direction and in breakdown."""
+        """Return the inputs ``e`` with a limited change of the junction voltage.
+
+        ``last`` are the inputs of the last Newton step. The change is limited in the forward
+        direction and in breakdown.
+        """
         v, before = float(e[0]), float(last[0])
         start, scale, critical = (
             self._breakdown_start,

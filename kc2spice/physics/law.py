@@ -1,4 +1,4 @@
-"""Laws of declared parts for the independent integrator, with exact derivatives."""
+"""Laws of declared parts, with exact derivatives, for the independent integrator."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def _make_number(value: float) -> Number:
 
 
 def _input_name(branch: Branch) -> str:
-    """Return the name of the quantity across a branch; for a current, of its voltage."""
+    """Return the input name of the quantity across a branch.
+
+    For a current branch, this quantity is the voltage.
+    """
     return f"{branch.name}_drop" if branch.flows else branch.name
 
 
@@ -46,7 +49,7 @@ def _input_name(branch: Branch) -> str:
 class DeclaredLaw(Device):
     """Law of a declared part, with the ``values`` of the part's parameters.
 
-    ``tables`` maps the names of tables and of their derivatives to functions.
+    ``tables`` contains the functions of tables and of their derivatives, keyed by name.
     """
 
     name: str
@@ -62,11 +65,11 @@ class DeclaredLaw(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins in the order of the subcircuit."""
+        """Pins of the law, in the order of the branches; signal pins are last."""
         result: dict[str, LawPin] = {}
         kinds = self._pin_kinds
         for b in self.declaration.branches:
-            loop = b.plus == LOOPS  # no current flows into the base pin
+            loop = b.plus == LOOPS  # a loop is grounded, so that no current flows into the base pin
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
             inner = b.minus in self.declaration.inner
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
@@ -78,19 +81,19 @@ class DeclaredLaw(Device):
 
     @property
     def pin_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of a pin of the part and the corresponding pin of the law."""
+        """Pairs of a pin of the part and the full name of the corresponding law pin."""
         inner = {LOOPS, *self.declaration.inner}
         pins = filterfalse(inner.__contains__, names_of(self.pins))
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Signal pins whose value the law prescribes."""
+        """Names of the output pins, whose signal value the law prescribes."""
         return tuple(self.declaration.outputs)
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Quantities across pins, and their rates, that are inputs of the law."""
+        """Inputs of the law: quantities across pins, and rates of such quantities."""
         d = self.declaration
         rates = map(partial(self._across_input, rate=True), d.branches_with_rate)
         return (*map(self._across_input, d.branches), *rates)
@@ -101,7 +104,11 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _pin_kinds(self) -> dict[str, str]:
-        """Kinds of all pins; ``signal`` for outputs, and for inputs whose rate is not used."""
+        """Kind of each pin, keyed by pin name.
+
+        The kind is ``signal`` for outputs, and for pins that have only measured branches whose rate
+        is not used.
+        """
         d = self.declaration
         result = dict.fromkeys(d.domains, "signal")
         for b in (*d.acting_branches, *d.branches_with_rate):
@@ -110,17 +117,17 @@ class DeclaredLaw(Device):
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _lower_pin(self, b: Branch) -> str:
-        """Return the lower pin of a branch; empty for the reference of a signal input."""
+        """Return the lower pin of a branch; an empty string if its kind differs from ``plus``."""
         return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Flows of all acting branches."""
+        """Pins between which the flow of each acting branch passes."""
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Indices of the flows of branches with a stored quantity."""
+        """Indices, among the acting branches, of branches that store a charge or a momentum."""
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
     @cached_property
@@ -132,7 +139,7 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: first the currents, then the declared states."""
+        """Names of the states: currents, followed by the states of the declaration."""
         return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
@@ -141,7 +148,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _inputs(self) -> tuple[str, ...]:
-        """Names of the inputs."""
+        """Names of all inputs: quantities across pins, rates and states."""
         d = self.declaration
         rates = (b.rate for b in d.branches_with_rate)
         return (*map(_input_name, d.branches), *rates, *self.states)
@@ -152,26 +159,29 @@ class DeclaredLaw(Device):
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.direct_flow, d.acting_branches), *laws)
         for tree, name in product(map(self._substitute_inputs, trees), self._inputs):
-            slope = replace_kinks(differentiate_tree(tree, name), self._corners)
+            slope = replace_kinks(differentiate_tree(tree, name), self._kink_arguments)
             if not find_names(slope).isdisjoint(self._inputs):
                 return False
         return not self.has_stored_quantities
 
     @property
     def linear(self) -> bool:
-        """Whether the declaration is linear."""
+        """Whether all equations of the declaration are linear."""
         return self.declaration.linear
 
     @cached_property
-    def _corners(self) -> tuple[Tree, ...]:
-        """Arguments of all one-sided functions; the signs of these arguments define the mode."""
+    def _kink_arguments(self) -> tuple[Tree, ...]:
+        """Arguments of all one-sided functions in the law.
+
+        The signs of these arguments define the mode of the law.
+        """
         d = self.declaration
         trees = (d.stored_energy, *d.branch_laws, *d.state_rates.values(), *d.output_trees.values())
         corners = chain.from_iterable(map(find_kinks, map(self._substitute_inputs, trees)))
         return tuple(dict.fromkeys(corners))
 
     def _substitute_inputs(self, tree: Tree) -> Tree:
-        """Return ``tree`` as a function of the inputs of the law alone."""
+        """Return ``tree`` with inputs of the law in place of signals and measured coordinates."""
         units: dict[str, Tree] = {}
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
@@ -179,22 +189,25 @@ class DeclaredLaw(Device):
         return add_trees(substitute_names(self.declaration.without_signals(tree), units))
 
     def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Compile expressions that contain the variables of the declaration."""
+        """Return a compiled function of expressions in the variables of the declaration."""
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Compile ``trees``; with ``slopes``, also their derivatives with respect to inputs."""
+        """Return a compiled function of ``trees`` in the inputs of the law.
+
+        With ``slopes``, the function also returns the derivatives with respect to all inputs.
+        """
         rows = list(trees)
         if slopes:
             rows += starmap(differentiate_tree, product(rows, self._inputs))
-        smooth = [replace_kinks(tree, self._corners) for tree in rows]
-        flags = map("flag{}".format, range(len(self._corners)))
+        smooth = [replace_kinks(tree, self._kink_arguments) for tree in rows]
+        flags = map("flag{}".format, range(len(self._kink_arguments)))
         arguments = (*self._inputs, *flags, *self.declaration.parameters)
         return compile_function(smooth, arguments, self.tables)
 
     @cached_property
     def _flow_trees(self) -> tuple[Tree, ...]:
-        """Expressions of the flows, rates of states and signals that the law returns."""
+        """Expressions of the outputs of the law: flows, rates of states, and signals."""
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
         rates = [
@@ -206,17 +219,17 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _flow_function(self) -> _Compiled:
-        """Compiled function of the outputs and their derivatives."""
+        """Compiled function that returns the outputs of the law and their derivatives."""
         return self._compile_declared(self._flow_trees, slopes=True)
 
     @cached_property
-    def _output_function(self) -> _Compiled:
-        """Compiled function of the outputs without derivatives."""
+    def _output_only_function(self) -> _Compiled:
+        """Compiled function that returns the outputs of the law without derivatives."""
         return self._compile_declared(self._flow_trees)
 
     @cached_property
     def _storage_trees(self) -> tuple[Tree, ...]:
-        """Expressions of the stored quantities."""
+        """Expressions of the stored quantities: fluxes, states, and charges or momenta."""
         d = self.declaration
         fluxes = map(d.stored_quantity, self._through_branches)
         charges = map(d.stored_quantity, self._charged_branches)
@@ -224,12 +237,12 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _storage_function(self) -> _Compiled:
-        """Compiled function of the stored quantities and their derivatives."""
+        """Compiled function that returns the stored quantities and their derivatives."""
         return self._compile_declared(self._storage_trees, slopes=True)
 
     @cached_property
-    def _store_function(self) -> _Compiled:
-        """Compiled function of the stored quantities without derivatives."""
+    def _storage_only_function(self) -> _Compiled:
+        """Compiled function that returns the stored quantities without derivatives."""
         return self._compile_declared(self._storage_trees)
 
     @cached_property
@@ -240,14 +253,14 @@ class DeclaredLaw(Device):
 
     @cached_property
     def _guard_function(self) -> _Compiled:
-        return self._compile(self._corners)
+        return self._compile(self._kink_arguments)
 
     @cached_property
     def _limit_function(self) -> _Compiled:
         return self._compile_declared(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of a compiled function for the inputs ``e`` in a mode."""
+        """Return the values of a compiled function for the inputs ``e`` and a mode."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -260,46 +273,56 @@ class DeclaredLaw(Device):
                 hint="state in the declaration's limits where its expressions are valid",
             ) from None
 
-    def _values_and_slopes(
+    def _evaluate_with_slopes(
         self, compiled: _Compiled, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and derivatives of a compiled function."""
+        """Return the values and the derivatives that a compiled function computes."""
         result = self._evaluate(compiled, e, mode)
         count = result.size // (1 + e.size)
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the law and their derivatives."""
-        return self._values_and_slopes(self._flow_function, e, mode)
+        """Return the outputs of the law and their derivatives by the inputs ``e``."""
+        return self._evaluate_with_slopes(self._flow_function, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return fluxes of currents, states, charges of voltages and momenta, in this order."""
-        return self._values_and_slopes(self._storage_function, e, mode)
+        """Return the stored quantities and their derivatives by the inputs ``e``.
+
+        The stored quantities are fluxes of current branches, states, and charges or momenta of
+        other branches, in this order.
+        """
+        return self._evaluate_with_slopes(self._storage_function, e, mode)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the outputs of the law without derivatives."""
-        return self._evaluate(self._output_function, e, mode)
+        return self._evaluate(self._output_only_function, e, mode)
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the stored quantities without derivatives."""
-        return self._evaluate(self._store_function, e, mode)
+        return self._evaluate(self._storage_only_function, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
-        """Return the mode: whether the argument of each one-sided function is positive."""
-        flags: tuple[int, ...] = (0,) * len(self._corners)
-        for k in range(len(flags)):  # an argument may depend on earlier ones
+        """Return the mode of the law at the inputs ``e``.
+
+        The mode contains 1 for each one-sided function whose argument is positive, otherwise 0.
+        """
+        flags: tuple[int, ...] = (0,) * len(self._kink_arguments)
+        for k in range(len(flags)):  # an argument may depend on the flags of earlier arguments
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the arguments of one-sided functions, with signs that are positive in the mode."""
+        """Return the arguments of one-sided functions, with signs that depend on the mode.
+
+        The signs are chosen so that all returned values are positive within the mode.
+        """
         return self._evaluate(self._guard_function, e, mode) * np.where(
             np.array(mode) > 0, 1.0, -1.0
         )
 
     def next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
-        """Return the mode after the guard with this number fell to zero."""
+        """Return the mode that follows ``mode`` after the guard with this number falls to zero."""
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
@@ -309,7 +332,10 @@ class DeclaredLaw(Device):
         )
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return a noise source for each loss: a force, a current or a series voltage."""
+        """Return the amplitudes of the thermal noise of each branch with losses.
+
+        The noise of a branch is a force, a current or a series voltage.
+        """
         branches, currents = self.declaration.acting_branches, self._through_branches
         root = np.sqrt(self._evaluate(self._loss_function, e, mode))
         rows = len(branches) + len(self.states) + len(self.prescribed_signals)
@@ -331,11 +357,11 @@ class DeclaredLaw(Device):
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Return the stored energy [J]."""
+        """Return the energy [J] that the part stores at the inputs ``e``."""
         return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the dissipated power [W]."""
+        """Return the power [W] that the part dissipates at the inputs ``e``."""
         if self.declaration.network_loss == ZERO:
             return 0.0
         return float(self._evaluate(self._energy_function, e, mode)[1])

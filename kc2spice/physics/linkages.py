@@ -1,13 +1,13 @@
-"""Flux linkages as netlist states, for currents in the magnetic field of a moving body.
+"""Flux linkages as netlist states, for coil currents in the magnetic field of a moving body.
 
 With a coenergy that is quadratic in the currents ``i`` of a declaration, the voltages are ::
 
     v_k = dR/di_k + d(psi_k)/dt + phi_k'(x) x_rate,     psi_k = sum_l L_kl(x) i_l
 
-Here ``psi_k`` are the flux linkages due to the currents, which are the states of the netlist.
-``phi_k`` is the flux linkage without currents, and the inductance matrix ``L`` is the second
-derivative of the coenergy with respect to the currents. ``phi_k`` and ``L`` are functions of the
-displacements ``x``.
+Here ``R`` is the content of the losses. The flux linkages due to the currents, ``psi_k``, are
+states of the netlist. ``phi_k`` is the flux linkage without currents. The inductance matrix ``L``
+is the second derivative of the coenergy with respect to the currents. ``phi_k`` and ``L`` are
+functions of the displacements ``x``.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class FluxLinkages:
 
     @cached_property
     def inductances(self) -> tuple[tuple[Tree, ...], ...]:
-        """Second derivatives of the coenergy with respect to the currents [H].
+        """Expressions of the inductance matrix [H], with one row per branch.
 
         Raises
         ------
-        UsageError : the inductances depend on currents.
+        UsageError : an inductance depends on a current.
         """
         flux, currents = map(self.declaration.stored_quantity, self.branches), self.current_names
         rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
@@ -65,7 +65,7 @@ class FluxLinkages:
 
     @cached_property
     def motion_voltages(self) -> tuple[Tree, ...]:
-        """Voltage [V] that motion induces in each branch without currents."""
+        """Expression of the voltage [V] that motion induces in each branch without currents."""
         still = dict.fromkeys(self.current_names, ZERO)
         result = []
         for branch in self.branches:
@@ -82,7 +82,11 @@ class FluxLinkages:
         return tuple(result)
 
     def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:
-        """Return the mean inductance [H], and its product with the inverse of L (points, n, n)."""
+        """Return the mean self-inductance [H], and normalised inverse inductance matrices.
+
+        The array of shape (points, n, n) contains the mean self-inductance times the inverse of L
+        at each point of the lookups.
+        """
         rows = [[lookups.tabulate(tree) for tree in row] for row in self.inductances]
         matrix = np.moveaxis(np.array(rows), 2, 0)
         mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))
@@ -90,7 +94,7 @@ class FluxLinkages:
 
 
 def find_linkages(declaration: Declaration) -> FluxLinkages | None:
-    """Return the flux linkages of the currents; None if no inductance contains a table."""
+    """Return the flux linkages of a declaration; None if no flux linkage contains a table."""
     branches = tuple(b for b in declaration.acting_branches if b.flows)
     result = FluxLinkages(declaration, branches)
     for branch in branches:

@@ -1,9 +1,10 @@
-"""Lookups in a netlist: smooth interpolation of the tables of a declaration.
+"""Smooth interpolation of tables in a netlist, called lookups.
 
-A lookup interpolates values at equally spaced arguments. The interval between two arguments is a
-cell. The variable ``s`` is the argument counted in cells, ``t`` is the position within a cell from
-0 to 1, and ``w = t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise
-linear functions ``f`` and ``b``, see :func:`smooth_lookup`.
+A lookup interpolates the values of a table at equally spaced arguments. The interval between two
+neighbouring arguments is a cell. The variable ``s`` is the argument, relative to the first argument
+and in units of the cell size. The variable ``t`` is the position within a cell from 0 to 1, and ``w
+= t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise linear functions
+``f`` and ``b``, see :func:`smooth_lookup`.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ WEIGHT_NODE = "lookup_w"
 class TableFunction:
     """Table in a declaration: a function of one argument between ``low`` and ``high``.
 
-    ``function`` returns the values at an array of arguments. The lookup in the netlist has
-    ``points`` points. ``unit`` is the unit of the values, for comments.
+    ``function`` returns the values of the table at an array of arguments. The lookup in the netlist
+    has ``points`` equally spaced points. ``unit`` is the unit of the values, for netlist comments.
     """
 
     low: float
@@ -59,21 +60,21 @@ class TableFunction:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """Values of the function at equally spaced arguments."""
+        """Values of the table at the equally spaced points."""
         return np.asarray(self.function(np.linspace(self.low, self.high, self.points)))
 
     @property
     def range(self) -> tuple[float, float, int]:
-        """First argument, last argument and number of points."""
+        """First argument, last argument, and number of points of the table."""
         return self.low, self.high, self.points
 
 
 class Lookups:
     """Lookups for the tables that occur in the laws of a declaration.
 
-    Each term of a law has at most one table as a factor. All terms of a law with equal other
-    factors are combined into one lookup. A lookup that occurs only once is written into its law. A
-    lookup that several laws contain becomes a node.
+    Each term of a law has at most one table as a factor. The terms of a law that are equal except
+    for the table are combined into one lookup. A lookup that occurs only once is written into the
+    expression of its law. A lookup that occurs in several laws becomes a node.
 
     Raises
     ------
@@ -112,12 +113,12 @@ class Lookups:
             self.step = (high - self.low) / (self.points - 1)
 
     def tabulate(self, tree: Tree) -> np.ndarray:
-        """Return the values at all points of an expression that contains only tables."""
+        """Return the values (points,) of an expression whose only variables are tables."""
         known = {name: table.values for name, table in self.tables.items()}
         return np.asarray(evaluate_tree(_replace_calls_by_names(tree, self.tables), known))
 
     def describe_lookup(self, calls: WeightedCalls) -> str:
-        """Return the formula and the unit of a lookup."""
+        """Return the formula and the unit of a lookup, as text for a netlist comment."""
         units = dict.fromkeys(self.tables[call.function].unit for call, _ in calls)
         return f"{format_tree(weighted_sum(calls))}: {', '.join(filter(None, units))}".removesuffix(
             ": "
@@ -125,7 +126,7 @@ class Lookups:
 
     @property
     def inline_formulas(self) -> dict[str, str]:
-        """Formulas of the lookups that occur once, keyed by label."""
+        """Descriptions of the lookups that occur only once, keyed by label."""
         once = (calls for calls in self.labels if calls not in self.repeated)
         return {self.labels[calls]: self.describe_lookup(calls) for calls in once}
 
@@ -141,15 +142,15 @@ class Lookups:
         return result
 
     def interpolation_expression(self, values: np.ndarray) -> Tree:
-        """Return the expression in node voltages that interpolates ``values``."""
+        """Return the expression of node voltages that interpolates ``values`` (points,)."""
         cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
         f, b = (Call("pwl", (cell, *points)) for points in smooth_lookup(values))
         return Binary("-", f, Binary("*", weight, b))
 
     def split_law(self, law: Tree) -> list[Tree]:
-        """Split a law into terms with labels of lookups.
+        """Split a law into terms that contain the labels of lookups in place of tables.
 
-        All lookups that are nodes are in one term, and every other lookup is a separate term.
+        One term contains all lookups that are nodes. Each other lookup has a separate term.
         """
         if not has_tables(law, self.tables):
             return [law]
@@ -176,35 +177,35 @@ def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
 
 
 def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return the points of the functions ``f`` and ``b``, so that ``f - w b`` is smooth.
+    """Return the points of two piecewise linear functions ``f`` and ``b`` for a smooth lookup.
 
-    ``f`` interpolates the equally spaced ``values`` linearly, and ``b`` interpolates half of their
-    second differences. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. Then ``f
-    - w b`` is the weighted mean of two parabolas, each through three neighbours (Overhauser 1968).
-    Its slope is continuous, and its error is of the third order in the cell size. One extrapolated
-    value at each end, from a cubic polynomial, preserves this order up to both ends. Beyond the
-    ends the function is constant.
+    ``f`` interpolates the equally spaced ``values``, and ``b`` interpolates half of their second
+    differences. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. Then ``f - w
+    b`` is the weighted mean of two parabolas, each through three neighbouring values (Overhauser
+    1968). The slope of ``f - w b`` is continuous, and its interpolation error is of the third order
+    in the cell size. One extrapolated value at each end, from a cubic polynomial, preserves this
+    order up to both ends. Beyond the ends, ``f - w b`` is constant.
 
-    The result contains only the necessary points of ``b``, because ngspice reads a table in a time
-    proportional to the square of its length. Points are omitted if this changes ``f - w b`` by less
-    than a sixteenth of a fourth difference, which is the error of the interpolation.
+    Redundant points of ``b`` are omitted, because the time in which ngspice reads a table is
+    proportional to the square of the number of points. A point is omitted if this changes ``f - w
+    b`` by less than a sixteenth of a fourth difference, which is the interpolation error.
     """
     weights = np.array([4, -6, 4, -1])
     first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # A fourth difference is estimated as (second difference)^2 / value. The estimate excludes the
-    # corners at both ends.
+    # The fourth difference is estimated as (second difference)^2 / value. The second differences at
+    # both ends are excluded, because the function has a corner there.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
-    return _table_points(f), _table_points(halves, second**2 / 4 / (largest or 1.0))
+    return _list_pwl_points(f), _list_pwl_points(halves, second**2 / 4 / (largest or 1.0))
 
 
-def _table_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, ...]:
-    """Return the arguments of a ``pwl()`` through ``values`` at -1, 0, 1, ....
+def _list_pwl_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, ...]:
+    """Return the points of a ``pwl()`` function that has the ``values`` at -1, 0, 1, ….
 
-    ngspice extrapolates the outer segments. A second point of equal value at each end makes the
-    function constant beyond its ends. Points are omitted if they are within ``tolerance`` of the
-    straight line between their neighbours.
+    ngspice extrapolates the outer segments. Therefore, a second point with the same value at each
+    end makes the function constant beyond its ends. Points that are within ``tolerance`` of the
+    straight line between their neighbours are omitted.
     """
     f = np.concatenate([values[:1], values, values[-1:]])
     indices, last = [0, 1], f.size - 2
@@ -219,6 +220,6 @@ def _table_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, .
         indices.append(end)
     result = []
     for k in (*indices, f.size - 1):
-        # ngspice retains 11 digits of a number in an expression
+        # ngspice retains only 11 digits of a number in an expression
         result += [Number(str(k - 2)), Number(format_number(float(f"{f[k]:.11g}")))]
     return tuple(result)

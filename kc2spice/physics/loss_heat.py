@@ -1,6 +1,6 @@
-"""Results and law of the heat from the losses of a linear body or resonator.
+"""Law and result names of the heat flow from the losses of a linear body or resonator.
 
-The netlist cards of the same heat flows are in :mod:`kc2spice.synthesis.heat_sources`.
+:mod:`kc2spice.synthesis.heat_sources` contains the netlist cards of the same heat flows.
 """
 
 from __future__ import annotations
@@ -21,26 +21,29 @@ from kc2spice.scene.part_records import Vector
 
 @dataclass(frozen=True)
 class LossHeatLaw(laws.Device):
-    """Law of the heat flow ``sum weight rate^2`` [W] out of the pin ``heat``."""
+    """Law of the heat flow ``sum weight rate^2`` [W] out of the pin ``heat``.
+
+    The sum extends over the modes with losses, and each rate is the displacement rate of a mode.
+    """
 
     name: str
     weights: tuple[float, ...]
 
     @property
     def rate_pins(self) -> tuple[str, ...]:
-        """Pins whose displacement rates determine the losses."""
+        """Names of the pins whose displacement rates determine the losses."""
         return tuple(map("loss{}".format, range(len(self.weights))))
 
     @property
     def pins(self) -> tuple[laws.LawPin, ...]:
-        """Pins with rates, and the heat pins."""
+        """The pins in ``rate_pins``, and the pins ``heat`` and ``ambient``."""
         rates = (laws.LawPin(pin, TRANSLATION.name) for pin in self.rate_pins)
         ends = laws.LawPin(HEAT, THERMAL.name), laws.LawPin(AMBIENT, THERMAL.name, grounded=True)
         return (*rates, *ends)
 
     @property
     def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
-        """Rates of the ``rate_pins``, and the temperature of the heat pin."""
+        """Displacement rates of the ``rate_pins``, and the temperature of the pin ``heat``."""
         rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 
@@ -50,7 +53,7 @@ class LossHeatLaw(laws.Device):
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the heat flow and its derivatives."""
+        """Return the heat flow into the pin ``heat`` [W] and its derivatives by ``e``."""
         slope = -2 * np.array([*self.weights, 0.0]) * e
         return np.array([slope @ e / 2]), slope[None]
 
@@ -78,7 +81,8 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     model, n = body.model, body.name
     damping = np.diag(model.E)
     lossy = np.flatnonzero(damping > 0)
-    # with the largest gain of its mode, the port does not change the integrator's error scales
+    # Each port has the largest input gain of its mode, so that the additional ports do not change
+    # the scales of the integrator's error control.
     reach = np.abs(model.B).max(axis=1)[lossy]
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))
@@ -113,7 +117,10 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
 
 
 def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
-    """Return the vectors of the temperature and the heat flow at the heat pin."""
+    """Return the ngspice vectors of temperature and heat flow at the pin ``heat``.
+
+    The dictionary is keyed by result name. ``meter`` is the source that measures the heat flow.
+    """
     flow = f"i(v.x{part.name}.{meter})".lower()
     result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}
     across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT))

@@ -1,4 +1,7 @@
-"""Part types made from declarations: pins, netlist, results, equations and checks."""
+"""Part types that are defined by declarations.
+
+The declaration determines pins, netlist, results, equations and checks of a part.
+"""
 
 from __future__ import annotations
 
@@ -52,18 +55,19 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numeri
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
 
-# Number of impacts on a stop without a warning. Two to nine impacts caused errors of up to 20 %.
+# Largest number of impacts on a stop without a warning. In tests, runs with two to nine impacts had
+# errors of up to 20 %.
 MAX_IMPACTS = 1.0
 REBOUND_ADVICE = (
     "what follows may hang on every step: error_budget estimates the error of each metric"
 )
 _INNER_PREFIXES = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
-_INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # pattern of inner nodes
-_MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted error of the energy balance
+_INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # names of inner nodes
+_MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted relative error of the energy balance
 
 
 def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
-    """Yield a smaller tolerance of Newton's method for dc sweeps and operating points."""
+    """Yield a smaller tolerance of Newton's method if the analysis is ``dc`` or ``op``."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
         yield Numerics(part.name, options={"reltol": change})
@@ -75,7 +79,10 @@ class DeclaredPart(PartType[KeysT]):
     source = "closed form"
 
     def __init__(self, declaration: Declaration | None = None) -> None:
-        """Make the part type of a declaration; without one, subclasses declare each part."""
+        """Make the part type of a ``declaration``.
+
+        Without a declaration, the subclass must override :meth:`make_declaration`.
+        """
         if declaration is None:
             return
         self.declaration = declaration
@@ -97,14 +104,14 @@ class DeclaredPart(PartType[KeysT]):
     def declare_part(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
         """Return the declaration of a part before its model is built.
 
-        The declaration has a heat pin if the scene joins this pin.
+        The declaration has a heat pin if the scene connects the pin ``heat``.
         """
         return self._with_heat_pin(self.make_declaration(part, scene), part, scene)
 
     def declare_built_part(self, part: Part[KeysT], build: Build) -> Declaration:
         """Return the declaration of a part after its model is built.
 
-        The declaration has a heat pin if the scene joins this pin.
+        The declaration has a heat pin if the scene connects the pin ``heat``.
         """
         declaration = self.built_declaration(part, build)
         heated = (part.name, HEAT) in build.scene.terminals
@@ -116,11 +123,11 @@ class DeclaredPart(PartType[KeysT]):
         return _attach_heat_pin(declaration, part) if is_heated(part, scene) else declaration
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of the keys of the part."""
+        """Yield errors for keys of the part that have no effect."""
         yield from refuse_conductor_keys(part, scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         d, result = self.declare_part(part, scene), []
         plus = {b.plus for b in d.branches}
         for p in make_pins(d):
@@ -130,12 +137,16 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(result)
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of branches with a mass or an inertance."""
+        """Return the names of the pins at which a branch has a mass or an inertance."""
         d = self.declare_part(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths to references: branches with a stiffness at rest or with a flow."""
+        """Return the branches that determine the operating point of their pins.
+
+        A branch with a stiffness at rest, or with a flow as coordinate, determines the operating
+        point.
+        """
         d = self.declare_part(part, scene)
         values = d.values(part.keys)
         stiff, flowing = [], []
@@ -143,8 +154,8 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path_to_reference and b.flows:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
-                # before differentiation, all other variables are set to zero, which shortens the
-                # sum
+                # other variables are set to zero before differentiation, so that the expression is
+                # short
                 slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.set_to_rest(slope), values):
                     stiff.append((b.plus, b.minus))
@@ -154,7 +165,7 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the only subcircuit of the part."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
@@ -183,14 +194,17 @@ class DeclaredPart(PartType[KeysT]):
         return result
 
     def initial_motion(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
-        """Return displacement [m] and velocity [m/s] at t = 0; None for an equilibrium."""
+        """Return displacement [m] and velocity [m/s] of the part's mass at t = 0.
+
+        None means that the run starts at an equilibrium.
+        """
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
-        """Return the equations of the part."""
+        """Return the equations of the part for the independent integrator."""
         n, d = part.name, self.declare_built_part(part, build)
         results = {}
-        for b in d.open_branches:  # no loops, because the loops of a full model differ
+        for b in d.open_branches:  # loops are omitted, because the loops of a full model differ
             if b.plus not in d.inner:
                 results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.plus}.through")
             elif b.flows:
@@ -208,7 +222,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- checks of a run --------------------------------------------------------------------------
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Yield checks of limits and impacts, and the energy balance."""
+        """Yield checks of limits and of the number of impacts, and the energy balance."""
         d = self.declare_built_part(part, build)
         known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
         yield from _check_limits(d, part, known)
@@ -219,7 +233,7 @@ class DeclaredPart(PartType[KeysT]):
             positions = known.keys() & set(names_of(d.displacements))
             forces = map(d.direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
-                if positions.isdisjoint(find_names(tree)):  # the reversal of a flow is no impact
+                if positions.isdisjoint(find_names(tree)):  # a kink without position is no impact
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
@@ -248,7 +262,7 @@ class DeclaredPart(PartType[KeysT]):
     def _recorded_variables(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the coordinates, states and signals that a run has recorded over time."""
+        """Return the recorded waves of coordinates, states and signals, keyed by name."""
         d = self.declare_built_part(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
@@ -259,7 +273,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- notes of explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
-        """Yield the assumptions of the model and the effects that it neglects."""
+        """Yield the equations of the part and the effects that they neglect."""
         yield "; ".join(self.declare_part(part, scene).equations)
         yield from self.list_neglected_effects(part, scene)
 
@@ -269,7 +283,7 @@ class DeclaredPart(PartType[KeysT]):
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
-    """Return a declaration with a heat pin, or unchanged if no heat pin is possible."""
+    """Return a declaration with a heat pin; the same declaration if it offers no heat pin."""
     if not declaration.offers_heat_pin:
         return declaration
     coefficient, reference = conductor_values(part.keys)
@@ -279,7 +293,7 @@ def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
 def _check_limits(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
-    """Yield checks of the limits that depend only on the ``known`` variables."""
+    """Yield a check of each limit that depends only on the ``known`` variables."""
     for what, tree in d.limit_trees.items():
         if d.limit_variables[what] <= known.keys():
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
@@ -289,13 +303,13 @@ def _check_limits(
 
 
 def _node_name(build: Build, part: Part, pin: str) -> str:
-    """Return the net of a pin, or the ngspice name of an inner node."""
+    """Return the ngspice name of the node of a pin; for an inner node, with the instance name."""
     inner = f"x{part.name}.{pin}".lower()
     return build.scene.nets.get((part.name, pin), inner)
 
 
 def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
-    """Return the vector of the voltage from an inner node to a pin."""
+    """Return the ngspice expression of the voltage from an inner node to a pin."""
     low = _node_name(build, part, pin)
     return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
 
@@ -303,7 +317,7 @@ def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
 def _merge_inner_paths(
     paths: Iterable[tuple[str, str]], inner: Collection[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Replace paths through ``inner`` nodes by direct paths between pins."""
+    """Return direct paths between pins in place of paths through ``inner`` nodes."""
     groups: list[set[str]] = []
     for path in paths:
         joined = [group for group in groups if not group.isdisjoint(path)]
@@ -316,8 +330,8 @@ def _merge_inner_paths(
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
-    If the declaration has a base, all upper pins precede the lower pins. The velocity pin of a
-    rigid body precedes its displacement pin.
+    If the declaration has a ``base``, all upper pins precede all lower pins. The velocity pin of a
+    rigid body precedes the displacement pin of this body.
     """
     d, result = declaration, dict[str, Pin]()
     ends = [(b.plus, b.minus, b.less) for b in d.branches]
@@ -362,11 +376,11 @@ def declared_subcircuit(
     values : mapping of str to float
         Values of the keys in SI units. They become the default values of the parameters.
     noise : bool, default False
-        Whether the losses have thermal noise.
+        Whether the netlist includes the thermal noise of the losses.
     more : sequence of Item, optional
         Further cards of the subcircuit.
     tables : mapping of str to TableFunction, optional
-        Tables of the declaration and of their slopes.
+        Tables of the declaration and of the derivatives of these tables.
     pins : sequence of Pin, optional
         Pins in the order of the netlist. By default, the branches determine the order.
 
@@ -418,13 +432,13 @@ def declared_subcircuit(
 
 
 def across_vector(build: Build, part: Part, branch: Branch) -> Vector:
-    """Return the vector of the quantity across a branch."""
+    """Return the ngspice vector of the quantity across a branch."""
     quantity = branch.domain.across
     return Vector(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
 
 
 def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
-    """Return the vector of the flow into the upper pin of a branch."""
+    """Return the ngspice vector of the flow into the upper pin of a branch."""
     flow, quantity = f"i(v.x{part.name}.{meter_name(branch)})", branch.domain.through_variable
     if branch.moves:
         flow = _inner_voltage(build, part, force_node(branch), branch.minus)
@@ -435,7 +449,7 @@ def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
 
 
 def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
-    """Return the vector of the voltage from ``plus`` to ``minus`` of a branch."""
+    """Return the ngspice expression of the voltage from ``plus`` to ``minus`` of a branch."""
     plus, minus = (_node_name(build, part, pin) for pin in (branch.plus, branch.minus))
     return format_voltage(plus, minus) or "v(0)"
 
@@ -445,13 +459,13 @@ def balance_energy(
 ) -> Iterator[Balance]:
     """Yield the energy balance of a part in a transient, if all variables were recorded.
 
-    There is no balance of a part without motion and without a heat pin.
+    A part that has neither displacement branches nor a heat pin has no energy balance.
 
-    The work at the pins is computed from the waves at the pins: ``int F dx`` of forces, ``int v
-    dq`` of voltages with the charge ``q = int i dt``, and ``int i dl`` of currents with the flux
-    ``l = int v dt``. A netlist whose charges, fluxes or losses differ from the declaration violates
-    the balance. If the part has a heat pin, all losses leave the part through this pin, and their
-    energy is the integral of the heat flow.
+    The work at the pins is computed from the waves at the pins: ``int F dx`` for forces, ``int v
+    dq`` for voltages with the charge ``q = int i dt``, and ``int i dl`` for currents with the flux
+    ``l = int v dt``. If the charges, fluxes or losses of the netlist differ from the
+    declaration, the energy balance is violated. If the part has a heat pin, all losses leave the
+    part through this pin, and their energy is the integral of the heat flow.
     """
     d, time = declaration, waves["time"]
     if not (d.displacements or d.heated) or set(recorded) != {
@@ -463,7 +477,7 @@ def balance_energy(
     speeds, slopes, means = {}, {}, {}
     for b in d.branches_with_rate:
         if b in d.inertial_branches:
-            # with the simulated velocity of a mass, the trapezoidal rule gives an exact balance
+            # With the simulated velocity of a mass, the trapezoidal rule conserves energy exactly.
             speeds[b.rate] = waves[f"{part.name}.v"]
         else:
             slopes[b.rate] = np.gradient(recorded[b.name], time)
@@ -476,7 +490,7 @@ def balance_energy(
     stored = evaluate_over_time(d.stored_energy)
     dissipated, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
     heat, brought, forces = dissipated, np.zeros_like(dissipated), []
-    converted = 0.0  # work at the pins except those of motion
+    converted = 0.0  # sum of the absolute work at all pins except displacement pins
     given_off = None
     for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
@@ -503,7 +517,7 @@ def balance_energy(
     if stored[0] != 0.0:
         entries["stored at the start"] = float(stored[0])
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
-    if not stored.any() and not heat.any():  # an ideal transformer brings in nothing as a whole
+    if not stored.any() and not heat.any():  # the total work at an ideal transformer's pins is zero
         turned = converted
     yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE)
 
@@ -514,11 +528,11 @@ def _compute_step_heat(
     means: Mapping[str, np.ndarray],
     time: np.ndarray,
 ) -> np.ndarray:
-    """Compute the heat (nt - 1,) in each time step from the variables ``known`` (nt,).
+    """Compute the heat (nt - 1,) [J] in each time step from the variables ``known`` (nt,).
 
-    The heat is the mean power at both ends of a step times the duration of the step. The velocity
-    of a coordinate without mass jumps at corners of the driving wave. Therefore, the mean
-    velocities over the steps in ``means`` (nt - 1,) replace the velocities at both ends.
+    The heat is the mean of the power at both ends of a step, times the duration of the step. The
+    velocity of a coordinate without mass jumps at corners of the driving wave. Therefore, the
+    velocities at both ends are replaced by the mean velocities ``means`` (nt - 1,) of the steps.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -534,11 +548,11 @@ def _compute_step_heat(
 def _compute_step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
-    """Compute the work (nt - 1,) of forces (nt,) in each time step.
+    """Compute the work (nt - 1,) [J] of forces in each time step.
 
-    ``forces`` contains pairs of a force and the changes (nt - 1,) of its displacement. The work is
-    the mean force times the change. With ``jumps``, the force at the end of the step is used if the
-    work is then nearer to ``near`` (nt - 1,).
+    ``forces`` contains pairs of a force (nt,) and the changes (nt - 1,) of its displacement. The
+    work is the mean force in a step times the change of the displacement. With ``jumps``, the force
+    at the end of the step replaces the mean force if the work is then nearer to ``near`` (nt - 1,).
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
@@ -548,16 +562,16 @@ def _compute_step_work(
 
 
 def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """Return from two arrays ``tried`` the elements that are nearer to ``near``."""
+    """Return an array of elements from two arrays, each the element that is nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
 
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Integrate a rate over each time step (nt - 1,), with the rules of simulators.
+    """Return the integral (nt - 1,) of a rate (nt,) over each time step, as in simulators.
 
-    Simulators use the trapezoidal rule, or after a jump the rate at the end of the step. The result
-    is the integral of one of the two rules that is nearer to ``near`` (nt - 1,).
+    Simulators use the trapezoidal rule, or after a jump, the rate at the end of the step. In each
+    step, the rule whose integral is nearer to ``near`` (nt - 1,) is used.
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

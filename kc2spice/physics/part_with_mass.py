@@ -1,7 +1,8 @@
-"""Declared parts whose moving pin has a mass.
+"""Declared parts that have a mass at one of their displacement pins.
 
-The mass is a declaration of its own with separate nodes in the same subcircuit. Its velocity node
-gives the volume velocity or the back-EMF of the part without a derivative of the displacement.
+The mass has a separate declaration, whose nodes are in the same subcircuit. The netlist computes
+the volume velocity or the back-EMF of the part from the velocity node of the mass, so that no
+displacement is differentiated.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from kc2spice.scene.part_records import EquilibriumConditions
 
 
 class DeclaredPartWithMass(DeclaredPart[KeysT]):
-    """Part type of a declaration and of the mass at one of its displacement pins."""
+    """Part type that is defined by a declaration and a mass at one of its displacement pins."""
 
-    moving_pins: tuple[str, str]  # pin with the mass, and the pin relative to which it moves
+    moving_pins: tuple[str, str]  # pin with the mass, and pin relative to which the mass moves
 
     @abstractmethod
     def mass_declaration(self, part: Part[KeysT], scene: WiredScene) -> Declaration:
         """Return the declaration of the mass between :attr:`moving_pins`."""
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pin with the mass."""
+        """Return the name of the pin that has the mass."""
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths of the declaration; the velocity of the mass cannot jump."""
+        """Return the equilibrium conditions of the declaration, with the pin of the mass."""
         return replace(
             super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
         )
@@ -41,7 +42,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part with the nodes of its mass."""
+        """Return the subcircuit of the part, which includes the cards of the mass."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
         mass = self.mass_declaration(part, build.scene)
         known = {param.name for param in d.given}
@@ -50,7 +51,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return (declared_subcircuit(header, name, d, values, build.has_noise, cards),)
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
-        """Return the equations of the declaration and of the mass."""
+        """Return the equations of the part: the laws of its declaration and of the mass."""
         equations, name = super().law(part, build), part.name
         mass = self.mass_declaration(part, build.scene)
         mass_law = DeclaredLaw(f"{name}_mass", mass, tuple(mass.defaults.values()))

@@ -1,15 +1,15 @@
-"""Operations on expression trees: differentiation, simplification and compilation.
+"""Differentiation, simplification and compilation of expression trees.
 
-The trees are objects of :mod:`kc2spice.netlist.expression`. Expressions may contain the operators
-``+ - * / ^``, calls of tables, and these functions:
+The nodes of the trees are objects of :mod:`kc2spice.netlist.expression`. Expressions may contain
+the operators ``+ - * / ^``, calls of tables, and these functions:
 
 * ``exp``, ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``,
 * the one-sided function ``max(0, e)``,
 * ``above(e)``, which is 1 where e is above zero, and 0 elsewhere,
 * ``clip(e)``, which limits e to the range from -1 to 1,
-* ``poly(e, c0, c1, ...)``, a power series in e with numbers as coefficients,
-* ``integral(f, x)``, the integral of ``f(x)`` from zero to ``x``, which cannot be written to a
-  netlist.
+* ``poly(e, c0, c1, ...)``, a power series in e whose coefficients are numbers,
+* ``integral(f, x)``, the integral of ``f(x)`` from zero to ``x``. A netlist cannot contain this
+  function.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from kc2spice.netlist.expression import (
 ZERO = Number("0")
 ONE = Number("1")
 SLOPE_SUFFIX = "_slope"  # suffix of the names of the derivatives of tables
-_LITERAL_DIGITS = 11  # digits of numbers in expressions that ngspice retains
+_LITERAL_DIGITS = 11  # number of digits that ngspice retains of a number in an expression
 _HELP_PAGE = "docs/reference/declarations.md"
 _REPLACEMENTS = {
     "abs": "write max(0, x) + max(0, -x) for |x|",
@@ -57,10 +57,10 @@ _REPLACEMENTS = {
     "sign": "write above(x) - above(-x)",
     "tan": "write sin(x)/cos(x)",
 }
-# Functions whose arguments are restricted, with the restriction.
+# Functions that accept only certain arguments, in the form that is accepted.
 _RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
-# Derivatives of functions with respect to their argument u.
-_CHAIN_RULES = {
+# Derivative of each function with respect to its argument u.
+_FUNCTION_DERIVATIVES = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
     "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
 }  # fmt: skip
@@ -70,10 +70,11 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 
 @cache
 def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
-    """Parse ``text`` and simplify it.
+    """Return the simplified expression tree of ``text``.
 
-    ``tables`` are the names of functions of one argument, which are passed when the expression is
-    evaluated. The derivative of a table ``f`` has the name ``f_slope``.
+    ``tables`` are the names of tables, which are functions of one argument. These functions must be
+    passed when the expression is evaluated. The derivative of a table ``f`` has the name
+    ``f_slope``. Errors contain ``where``.
 
     Raises
     ------
@@ -89,16 +90,17 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
                 continue
             case Call("poly", (_, *series)) if series and not any(map(find_names, series)):
                 continue
-            case Call(name, (_,)) if name in _CHAIN_RULES or name in tables:
+            case Call(name, (_,)) if name in _FUNCTION_DERIVATIVES or name in tables:
                 continue
             case Call(name, _):
-                functions = (*_RESTRICTED_FUNCTIONS, *_CHAIN_RULES, *tables)
+                functions = (*_RESTRICTED_FUNCTIONS, *_FUNCTION_DERIVATIVES, *tables)
                 raise UsageError(
                     "declarations do not support this function",
                     where=where,
                     got=name,
                     expected="one of " + list_candidates(name, functions, _HELP_PAGE),
-                    hint=_REPLACEMENTS.get(name) or did_you_mean(name, [*_CHAIN_RULES, *tables]),
+                    hint=_REPLACEMENTS.get(name)
+                    or did_you_mean(name, [*_FUNCTION_DERIVATIVES, *tables]),
                 )
             case Choice() | CircuitVariable():
                 raise UsageError(
@@ -115,7 +117,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
 
 
 def _replace_above(tree: Tree) -> Tree:
-    """Replace every ``above(e)`` in ``tree`` by the conditional expression ``e > 0 ? 1 : 0``."""
+    """Return ``tree`` with the condition ``e > 0 ? 1 : 0`` in place of each ``above(e)``."""
     match tree:
         case Call("above", (value,)):
             return _step_function(simplify(_replace_above(value)))
@@ -123,12 +125,12 @@ def _replace_above(tree: Tree) -> Tree:
 
 
 class _CardWriter(ExpressionWriter):
-    """Writer of expressions for netlist cards."""
+    """Writer that formats expression trees for netlist cards."""
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function call in the syntax of a card."""
+        """Return the text of a function call in the syntax of netlist cards."""
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # so that the derivative at zero is finite
+            case "sqrt", (Call("max", (_, value)),):  # with a finite derivative at zero
                 return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
@@ -138,9 +140,9 @@ class _CardWriter(ExpressionWriter):
 
 
 def format_tree(tree: Tree) -> str:
-    """Return the text of ``tree`` on a netlist card.
+    """Return the text of ``tree`` for a netlist card.
 
-    In the text, the argument of a square root of a one-sided function is at least 1e-18.
+    The text ``sqrt(max(1e-18, e))`` replaces ``sqrt(max(0, e))``.
 
     Raises
     ------
@@ -157,39 +159,39 @@ def format_tree(tree: Tree) -> str:
 
 
 def find_names(tree: Tree) -> frozenset[str]:
-    """Return the names that occur in ``tree``."""
+    """Return the names of all variables and parameters in ``tree``."""
     return frozenset(node.text for node in walk_tree(tree) if isinstance(node, Name))
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
-    """Return whether the derivatives of ``tree`` with respect to ``variables`` are constant."""
+    """Return whether ``tree`` is an affine function of ``variables``."""
     return all(
         variables.isdisjoint(find_names(differentiate_tree(tree, name))) for name in variables
     )
 
 
 def add_trees(*trees: Tree) -> Tree:
-    """Add expressions and simplify the sum."""
+    """Return the simplified sum of expressions."""
     return simplify(_chain_operator("+", (ZERO, *trees)))
 
 
 def subtract_trees(first: Tree, second: Tree) -> Tree:
-    """Subtract two expressions and simplify the difference."""
+    """Return the simplified difference of two expressions."""
     return simplify(Binary("-", first, second))
 
 
 def multiply_trees(*trees: Tree) -> Tree:
-    """Multiply expressions and simplify the product."""
+    """Return the simplified product of expressions."""
     return simplify(_chain_operator("*", (ONE, *trees)))
 
 
 def divide_trees(first: Tree, second: Tree) -> Tree:
-    """Divide two expressions and simplify the quotient."""
+    """Return the simplified quotient of two expressions."""
     return simplify(Binary("/", first, second))
 
 
 def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
-    """Join expressions by one operator."""
+    """Return the expressions joined by the operator ``op``, from left to right."""
     first, *rest = trees
     for tree in rest:
         first = Binary(op, first, tree)
@@ -206,7 +208,7 @@ def differentiate_tree(tree: Tree, name: str) -> Tree:
 
 
 def _differentiate(tree: Tree, name: str) -> Tree:
-    """Return the derivative of a tree before simplification."""
+    """Return the derivative of ``tree`` with respect to ``name``, without simplification."""
     match tree:
         case Name(found):
             return ONE if found == name else ZERO
@@ -236,17 +238,19 @@ def _differentiate(tree: Tree, name: str) -> Tree:
             free = Binary("-", ONE, Binary("+", *map(_step_function, _clip_excesses(value))))
             return Binary("*", free, _differentiate(value, name))
         case Call(function, (value,)):
-            table = function not in _CHAIN_RULES
+            table = function not in _FUNCTION_DERIVATIVES
             outer = (
-                Call(function + SLOPE_SUFFIX, (value,)) if table else _chain_rule(function, value)
+                Call(function + SLOPE_SUFFIX, (value,))
+                if table
+                else _differentiate_function(function, value)
             )
             return _make_product(outer, _differentiate(value, name))
-    return ZERO  # numbers, and step functions, which are constant except at the step
+    return ZERO  # for numbers, and for step functions, which are constant except at the step
 
 
-def _chain_rule(function: str, value: Tree) -> Tree:
+def _differentiate_function(function: str, value: Tree) -> Tree:
     """Return the derivative of a function with respect to its argument."""
-    return substitute_names(parse_expression(_CHAIN_RULES[function]), {"u": value})
+    return substitute_names(parse_expression(_FUNCTION_DERIVATIVES[function]), {"u": value})
 
 
 def _make_product(left: Tree, right: Tree) -> Tree:
@@ -255,12 +259,15 @@ def _make_product(left: Tree, right: Tree) -> Tree:
 
 
 def _make_sum(op: str, left: Tree, right: Tree) -> Tree:
-    """Return a sum or difference without zero terms."""
+    """Return the sum or difference of two trees; the right tree is omitted if it is zero."""
     return left if right == ZERO else Binary(op, left, right)
 
 
 def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
-    """Return a power series of ``value`` as nested products; ``series`` begins with c0."""
+    """Return a power series of ``value`` as nested products (Horner's rule).
+
+    ``series`` contains the coefficients c0, c1, … of the powers.
+    """
     *lower, result = series
     for item in reversed(lower):
         result = Binary("+", item, Binary("*", value, result))
@@ -268,12 +275,16 @@ def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
 
 
 def _step_function(value: Tree) -> Tree:
-    """Return the expression of a step function, 1 if ``value`` is above zero, otherwise 0."""
+    """Return an expression that is 1 if ``value`` is above zero, otherwise 0."""
     return Choice(Binary(">", value, ZERO), ONE, ZERO)
 
 
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
-    """Return the expressions of the excess of ``value`` above 1, and below -1."""
+    """Return the two expressions ``value - 1`` and ``-value - 1``.
+
+    Where ``clip(value)`` limits the value above or below, the first or second expression is
+    positive.
+    """
     return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
 
 
@@ -282,14 +293,14 @@ def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
 
 @dataclass(frozen=True)
 class _Product:
-    """Quotient of two products of factors, times a rational coefficient."""
+    """Rational coefficient times a quotient of two products of factors."""
 
     coefficient: Fraction
     numerator: tuple[Tree, ...] = ()
     denominator: tuple[Tree, ...] = ()
 
     def times(self, other: _Product) -> _Product:
-        """Return this product multiplied by another product."""
+        """Return this product multiplied by the product ``other``."""
         both = (
             Counter(self.numerator + other.numerator),
             Counter(self.denominator + other.denominator),
@@ -313,7 +324,7 @@ class _Product:
         return _Product(1 / self.coefficient, self.denominator, self.numerator)
 
     def tree(self) -> Tree:
-        """Return the expression tree, with the absolute value of the coefficient."""
+        """Return the expression tree of the product, with the coefficient's absolute value."""
         size, below = abs(self.coefficient), self.denominator
         if Fraction(f"{float(size):.{_LITERAL_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_make_number(size.denominator), *below)
@@ -332,10 +343,11 @@ def _make_number(value: Fraction | float) -> Number:
 
 
 def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
-    """Return factors without redundant step functions.
+    """Return the factors of a product without redundant step functions.
 
-    The step function of e is redundant in a product with ``max(0, e)``, with the square root of
-    ``max(0, e)``, or with the same step function.
+    ``counts`` contains the number of occurrences of each factor. The step function of e is
+    redundant in a product with ``max(0, e)``, with the square root of ``max(0, e)``, or with the
+    same step function.
     """
     factors: list[Tree] = []
     for factor in counts.elements():
@@ -351,15 +363,20 @@ def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
 
 @cache
 def simplify(tree: Tree) -> Tree:
-    """Add equal terms, cancel equal factors, and calculate numbers exactly."""
+    """Return an equal expression with equal terms added and equal factors cancelled.
+
+    Numbers are calculated as exact fractions.
+    """
     return _build_sum(_nonzero_terms(tree))
 
 
 def _nonzero_terms(tree: Tree) -> list[_Product]:
+    """Return the terms of an expression whose coefficient is not zero."""
     return [term for term in _list_terms(tree) if term.coefficient]
 
 
 def _build_sum(terms: list[_Product]) -> Tree:
+    """Return the expression tree of a sum of products, positive terms first."""
     if not terms:
         return ZERO
     first, *rest = sorted(terms, key=lambda term: term.coefficient < 0)
@@ -370,7 +387,7 @@ def _build_sum(terms: list[_Product]) -> Tree:
 
 
 def _list_terms(tree: Tree) -> list[_Product]:
-    """Return the terms of a sum as products."""
+    """Return the terms of an expression as products; their coefficients may be zero."""
     match tree:
         case Number(value):
             return [_Product(Fraction(value))]
@@ -403,7 +420,10 @@ def _make_exponential(base: Tree, power: Tree) -> Tree:
 
 
 def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
-    """Yield the terms of nested sums, so that equal terms are searched only once."""
+    """Yield the terms of nested sums, multiplied by ``sign``.
+
+    Nested sums are flattened, so that equal terms are searched for only once.
+    """
     match tree:
         case Unary("-" | "+" as op, value):
             yield from _sum_terms(value, -sign if op == "-" else sign)
@@ -418,15 +438,15 @@ def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
 
 
 def _may_differ_from_zero(tree: Tree) -> bool:
-    """Return whether a tree differs from ``max(0, e)`` with an expression e that is zero."""
+    """Return False if a tree is ``max(0, e)`` with an expression e that is zero."""
     return not (
         isinstance(tree, Call) and tree.function == "max" and simplify(tree.arguments[1]) == ZERO
     )
 
 
-@cache  # derivatives of products contain the same sums many times
+@cache  # the derivative of a product contains the same sums many times
 def _factor_into_product(tree: Tree) -> _Product:
-    """Return a product equal to ``tree``; a sum of several terms becomes one factor."""
+    """Return ``tree`` as a product; a sum of several terms becomes one factor."""
     result = _nonzero_terms(tree)
     if len(result) == 1:
         return result[0]
@@ -434,7 +454,7 @@ def _factor_into_product(tree: Tree) -> _Product:
 
 
 def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
-    """Add terms with equal factors."""
+    """Return terms in which terms with equal factors are added."""
     sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
     for term in terms:
         above, below = Counter(term.numerator), Counter(term.denominator)
@@ -454,10 +474,10 @@ WeightedCalls = tuple[tuple[Call, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split ``tree`` into products with calls of ``functions``, and the sum of other terms.
+    """Split ``tree`` into products that contain calls of ``functions``, and the other terms.
 
     Each product is a pair of a factor and a weighted sum of calls. The first weight of each sum is
-    1.
+    1. The other terms are returned as one sum.
 
     Raises
     ------
@@ -490,7 +510,7 @@ def split_calls(
 
 
 def weighted_sum(calls: WeightedCalls) -> Tree:
-    """Return the expression ``sum_k weight_k call_k``."""
+    """Return the expression ``sum_k weight_k call_k`` of calls and their weights."""
     return add_trees(*(multiply_trees(_make_number(weight), call) for call, weight in calls))
 
 
@@ -498,7 +518,10 @@ def weighted_sum(calls: WeightedCalls) -> Tree:
 
 
 def find_kinks(tree: Tree) -> tuple[Tree, ...]:
-    """Return the arguments ``e`` of all ``max(0, e)`` and steps in ``tree``, inner ones first."""
+    """Return the arguments of all one-sided functions and steps in ``tree``.
+
+    The argument of ``max(0, e)``, for example, is e. Arguments of inner functions are first.
+    """
     result = [*chain.from_iterable(map(find_kinks, operands_of(tree)))]
     match tree:
         case Call("clip", (value,)):
@@ -509,13 +532,13 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
 
 
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """Replace one-sided functions of ``corners`` by factors ``flag0``, ``flag1``, ….
+    """Return ``tree`` with factors ``flag0``, ``flag1``, … in place of one-sided functions.
 
-    The result is a smooth function. The flag of an expression in ``corners`` is 1 if the expression
-    is above zero, otherwise 0.
+    For constant flags, the returned expression is smooth. Each expression in ``corners`` has a
+    flag, which is 1 if the expression is above zero, otherwise 0.
     """
     match tree:
-        # if a step leads below zero, the root must be zero and not a complex number
+        # If the argument is negative after a step, the root must be zero, not a complex number.
         case Call("sqrt", (Call("max", (_, value)),)):
             return Call("sqrt", (Call("max", (ZERO, replace_kinks(value, corners))),))
         case Call("max", (_, value)):
@@ -536,20 +559,20 @@ def _flag_name(argument: Tree, corners: tuple[Tree, ...]) -> Name:
 
 
 class _PythonWriter(ExpressionWriter):
-    """Writer of expressions in Python syntax."""
+    """Writer that formats expression trees in Python syntax."""
 
     def name(self, text: str) -> str:
-        """Return the name of a variable in Python."""
-        return f"_{text}"  # the name of a key may be a Python keyword
+        """Return the Python name of a variable."""
+        return f"_{text}"  # because the name of a key may be a Python keyword
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of a tree in Python."""
+        """Return the text of an expression tree in Python syntax."""
         if isinstance(tree, Choice):
             return f"where({self.write(tree.test)}, {self.write(tree.yes)}, {self.write(tree.no)})"
         return super().write(tree, level)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function call in Python."""
+        """Return the text of a function call in Python syntax."""
         if function == "integral":
             f, x = arguments
             return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
@@ -561,7 +584,7 @@ class _PythonWriter(ExpressionWriter):
 
 
 def _python_name(function: str) -> str:
-    """Return the Python name of a table, which differs from all names of keys."""
+    """Return the Python name of a function; for a table, a name that no key can have."""
     known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
     return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
 
@@ -575,7 +598,9 @@ def _integrate_from_zero(f: Callable[[Any], Any], x: Any) -> Any:
     )
 
 
-_FUNCTION_SCOPE = {name: getattr(np, _NUMPY_NAMES.get(name, name)) for name in _CHAIN_RULES}
+_FUNCTION_SCOPE = {
+    name: getattr(np, _NUMPY_NAMES.get(name, name)) for name in _FUNCTION_DERIVATIVES
+}
 _FUNCTION_SCOPE |= {_NUMPY_NAMES[name]: _FUNCTION_SCOPE[name] for name in _NUMPY_NAMES} | {
     "integral": _integrate_from_zero
 }
@@ -587,10 +612,10 @@ def compile_function(
     arguments: Iterable[str],
     tables: Mapping[str, Callable[[Any], Any]] | None = None,
 ) -> Callable[..., tuple[Any, ...]]:
-    """Compile a function that returns the values of ``trees`` for values of ``arguments``.
+    """Return a compiled function that evaluates ``trees`` for values of ``arguments``.
 
-    The values of the arguments are numbers or arrays. ``tables`` maps the names of tables to
-    functions.
+    The values of the arguments are numbers or arrays. ``tables`` contains the functions of tables,
+    keyed by name.
     """
     heads = ", ".join(map("_{}".format, arguments))
     values = "".join(map("{}, ".format, map(_PythonWriter().write, trees)))
@@ -602,5 +627,5 @@ def compile_function(
 
 
 def evaluate_tree(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """Evaluate ``tree``; ``known`` maps its names to numbers or arrays."""
+    """Return the value of ``tree``; ``known`` contains numbers or arrays, keyed by name."""
     return np.asarray(compile_function((tree,), known)(*known.values())[0])
